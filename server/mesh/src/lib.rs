@@ -1,1 +1,26 @@
-//! mesh
+//! Surface meshes of quadrilaterals and triangles: validation, topology, symmetry, distances along the mesh,
+//! smoothing operators, quality measures, and the MSH, VTU and STL formats on byte slices.
+//!
+//! Lengths are in metres unless a reader's file says nothing about its unit, angles in degrees. Vertices are
+//! `[x, y, z]` in one contiguous vector, cells index them. Everything here is deterministic: results do not depend
+//! on the number of threads.
+
+pub mod graph;
+mod grid;
+pub mod io;
+pub mod laplacian;
+mod mesh;
+pub mod orientation;
+pub mod quality;
+pub mod symmetry;
+pub mod topology;
+
+pub use graph::{graph_distance, nearest_source, nearest_sources};
+pub use laplacian::Laplacian;
+pub use mesh::{Cell, Group, Limits, MeshError, SurfaceMesh};
+pub use quality::{CellQuality, Distribution, QualityReport, Summary};
+pub use symmetry::Plane;
+pub use topology::{Csr, Topology};
+
+/// A vector or point of three components, in metres where it is a position.
+pub type Vector3 = nalgebra::Vector3<f64>;

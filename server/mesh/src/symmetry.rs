@@ -1,0 +1,94 @@
+//! Mirror planes, and the pairing of vertices across them.
+
+use thiserror::Error;
+
+use crate::{Vector3, grid::HashGrid};
+
+/// A plane `normal . x = offset`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Plane {
+    normal: Vector3,
+    offset: f64,
+}
+
+/// Why there is no plane, or no pairing.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum SymmetryError {
+    /// The normal has no direction.
+    #[error("plane normal {normal:?} with offset {offset} is not a finite vector with a length")]
+    Plane {
+        /// The normal given.
+        normal: [f64; 3],
+        /// The offset given.
+        offset: f64,
+    },
+    /// Vertices without a mirror image.
+    #[error(
+        "{count} vertices have no mirror image within {tolerance}, the first is vertices[{vertex}] = {position:?}; \
+         mirror one half of the mesh, or raise the tolerance"
+    )]
+    Unpaired {
+        /// How many.
+        count: usize,
+        /// Index of the first.
+        vertex: usize,
+        /// Where the first one is.
+        position: [f64; 3],
+        /// The tolerance, m.
+        tolerance: f64,
+    },
+}
+
+impl Plane {
+    /// The plane through `offset * normal / |normal|`, across `normal` (of any length).
+    ///
+    /// # Errors
+    /// [`SymmetryError::Plane`] if the normal is zero or anything is not finite.
+    pub fn new(normal: [f64; 3], offset: f64) -> Result<Self, SymmetryError> {
+        let length = Vector3::from(normal).norm();
+        if length > 0.0 && length.is_finite() && offset.is_finite() {
+            Ok(Self { normal: Vector3::from(normal) / length, offset })
+        } else {
+            Err(SymmetryError::Plane { normal, offset })
+        }
+    }
+
+    /// The aircraft's usual plane, y = 0.
+    pub fn y_zero() -> Self {
+        Self { normal: Vector3::y(), offset: 0.0 }
+    }
+
+    /// The unit normal.
+    pub fn normal(&self) -> &Vector3 {
+        &self.normal
+    }
+
+    /// Distance from the plane, positive on the normal's side, m.
+    pub fn signed_distance(&self, x: &[f64; 3]) -> f64 {
+        self.normal.dot(&Vector3::from(*x)) - self.offset
+    }
+
+    /// The mirror image. Exact for planes across an axis through the origin.
+    pub fn mirror(&self, x: &[f64; 3]) -> [f64; 3] {
+        (Vector3::from(*x) - 2.0 * self.signed_distance(x) * self.normal).into()
+    }
+
+    /// The nearest point of the plane.
+    pub fn project(&self, x: &[f64; 3]) -> [f64; 3] {
+        (Vector3::from(*x) - self.signed_distance(x) * self.normal).into()
+    }
+}
+
+/// `mirror[v]`: the vertex within `tolerance` of the mirror image of `v`; `v` itself for vertices within `tolerance` of
+/// the plane. The pairing is its own inverse.
+///
+/// # Errors
+/// [`SymmetryError::Unpaired`] if a vertex has no partner, or one that is a partner's already.
+pub fn pair_vertices(
+    vertices: &[[f64; 3]],
+    plane: &Plane,
+    tolerance: f64,
+) -> Result<Vec<u32>, SymmetryError> {
+    let _ = (vertices, plane, tolerance, HashGrid::default());
+    todo!()
+}
