@@ -225,8 +225,9 @@ impl SurfaceMesh {
         check_count("cells", self.cells.len(), limits.cells)?;
         for (vertex, position) in self.vertices.iter().enumerate() {
             for (axis, &value) in position.iter().enumerate() {
-                // Written so that NaN fails.
-                if !(value.abs() <= limits.coordinate) {
+                // False for NaN, too.
+                let within = value.abs() <= limits.coordinate;
+                if !within {
                     return Err(MeshError::Coordinate { vertex, axis, value, limit: limits.coordinate });
                 }
             }

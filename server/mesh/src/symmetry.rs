@@ -89,6 +89,24 @@ pub fn pair_vertices(
     plane: &Plane,
     tolerance: f64,
 ) -> Result<Vec<u32>, SymmetryError> {
-    let _ = (vertices, plane, tolerance, HashGrid::default());
-    todo!()
+    let extent = vertices.iter().flatten().fold(0.0, |extent: f64, x| extent.max(x.abs()));
+    let mut grid = HashGrid::new(tolerance, extent);
+    let on_plane = |x: &[f64; 3]| plane.signed_distance(x).abs() <= tolerance;
+    for (vertex, x) in vertices.iter().enumerate().filter(|(_, x)| !on_plane(x)) {
+        grid.insert(x, vertex as u32);
+    }
+    let partner = |(vertex, x): (usize, &[f64; 3])| {
+        if on_plane(x) { Some(vertex as u32) } else { grid.nearest(&plane.mirror(x), tolerance, vertices) }
+    };
+    let partners: Vec<Option<u32>> = vertices.iter().enumerate().map(partner).collect();
+    let mutual =
+        |vertex: usize| partners[vertex].filter(|&partner| partners[partner as usize] == Some(vertex as u32));
+    let mirror: Vec<u32> = (0..vertices.len()).map_while(mutual).collect();
+    match vertices.get(mirror.len()) {
+        None => Ok(mirror),
+        Some(&position) => {
+            let count = (0..vertices.len()).filter(|&vertex| mutual(vertex).is_none()).count();
+            Err(SymmetryError::Unpaired { count, vertex: mirror.len(), position, tolerance })
+        }
+    }
 }

@@ -51,7 +51,7 @@ impl Csr {
     }
 
     /// All rows in order.
-    pub fn rows(&self) -> impl ExactSizeIterator<Item = &[u32]> {
+    pub fn rows(&self) -> impl ExactSizeIterator<Item = &[u32]> + Clone {
         (0..self.len()).map(|i| self.row(i))
     }
 }
@@ -195,12 +195,14 @@ fn connected_pieces(neighbours: &Csr) -> (Vec<u32>, usize) {
     (piece, pieces as usize)
 }
 
-/// Signed volume below the cells, m^3: positive if they enclose a body and point outwards.
+/// Signed volume that the cells enclose, m^3: positive if they point outwards.
 ///
-/// Divergence theorem with x/3; a warped quadrilateral counts as the bilinear patch through its edges, which is the
-/// mean of its two splits into triangles. On an open mesh the value depends on the origin, taken at the first vertex.
-pub fn enclosed_volume(vertices: &[[f64; 3]], cells: &[Cell]) -> f64 {
-    let Some(&origin) = vertices.first() else { return 0.0 };
+/// Divergence theorem; a warped quadrilateral counts as the bilinear patch through its edges, which is the mean of its
+/// two splits into triangles. With a symmetry plane, the volume between the cells and the plane.
+pub fn enclosed_volume(vertices: &[[f64; 3]], cells: &[Cell], symmetry: Option<&Plane>) -> f64 {
+    let Some(origin) = cells.first().map(|cell| vertices[cell.vertices()[0] as usize]) else { return 0.0 };
+    // Seen from a point of the plane, the missing faces on it add nothing.
+    let origin = symmetry.map_or(origin, |plane| plane.project(&origin));
     let origin = Vector3::from(origin);
     let at = |vertex: u32| Vector3::from(vertices[vertex as usize]) - origin;
     let six_volumes = |a: &Vector3, b: &Vector3, c: &Vector3| a.dot(&b.cross(c));
