@@ -1,1 +1,29 @@
-//! geometry
+//! Components of an aircraft as untrimmed spline patches, and signed distances to them.
+//!
+//! - [`Component`]: patches and how their edges join, found from the geometry, not from names. Set-up data.
+//! - [`Body`]: a component in one state (reference or deformed); evaluation, and closest points with their signs.
+//! - [`SignedDistance`], [`SmoothUnion`]: the implicit operations of the paper's section II.B with their derivatives.
+//! - [`Primitive`]: shapes with analytic distances, which are exact rational components as well.
+//!
+//! Nothing depends on the unit of length: every tolerance is relative to a component's size.
+//!
+//! Absent on purpose: meshes, files, and the parameterisation that moves control points.
+
+mod body;
+mod bounds;
+mod component;
+mod distance;
+mod hierarchy;
+mod newton;
+mod primitive;
+mod topology;
+mod union;
+
+pub use body::{Body, Feature, FootPoint, Location, ParameterDirection};
+pub use bounds::Aabb;
+pub use component::{Component, ComponentError, ComponentOptions, Patch, PatchInput};
+pub use distance::{SignedDistance, SignedDistancePoint};
+pub use moldline_spline::{SurfaceJet, SurfacePoint, Vector3};
+pub use primitive::{Primitive, PrimitiveError};
+pub use topology::{Edge, EdgeSide, Side, Vertex, VertexKind};
+pub use union::{SmoothUnion, SmoothUnionPoint};

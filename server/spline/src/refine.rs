@@ -27,6 +27,12 @@ impl KnotVector {
         assert_eq!(arguments.len(), p, "a blossom has as many arguments as the degree");
         let s = self.span_of_interval(interval);
         let t = self.knots();
+        // At the knots of a control point of this piece the blossom is that control point: say so exactly.
+        if let Some(r) = (0..=p).find(|&r| t[s - p + r + 1..=s + r] == *arguments) {
+            let mut weights = [0.0; MAX_DEGREE + 1];
+            weights[r] = 1.0;
+            return LinearRow { first: s - p, count: p + 1, weights };
+        }
         // The recurrence of the basis with a different parameter at each level.
         let mut n = [0.0; MAX_DEGREE + 1];
         n[0] = 1.0;
@@ -36,7 +42,6 @@ impl KnotVector {
             for r in 0..j {
                 let (lo, hi) = (t[s + 1 + r - j], t[s + r + 1]);
                 let value = n[r];
-                // Equal knots and arguments must give exact zeros and ones.
                 n[r] = saved + (hi - u) / (hi - lo) * value;
                 saved = (u - lo) / (hi - lo) * value;
             }

@@ -1,0 +1,69 @@
+//! The smooth union of signed distances (eq. 8; section 2 of the derivation notes).
+
+use crate::Vector3;
+
+/// Components further than this many multiples of `1 / rho` beyond the nearest weigh less than 1e-17.
+const SKIP: f64 = 40.0;
+
+/// The smooth minimum `Phi = -1/rho log sum_c exp(-rho phi_c)`.
+///
+/// It is not larger than the hard minimum. Where `m` components are equally far, `Phi` lies `log(m) / rho` below them:
+/// on the seam of two components the zero set of `Phi` stands `log(2) / rho` outside both, which is the fillet.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SmoothUnion {
+    /// Sharpness, 1/m.
+    pub rho: f64,
+}
+
+/// The smooth union at a point.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct SmoothUnionPoint {
+    /// `Phi`, metres.
+    pub phi: f64,
+    /// `grad Phi = sum_c w_c n_c`.
+    pub gradient: Vector3,
+}
+
+impl SmoothUnion {
+    /// The union whose surface stands `fillet` metres off a right-angled seam.
+    ///
+    /// In the plane across the seam of two half spaces at right angles, with coordinates `a, b` being the two distances,
+    /// the surface is `exp(-rho a) + exp(-rho b) = 1`. On the bisector `a = b = log(2) / rho`, at the distance
+    /// `sqrt(2) log(2) / rho` from the seam, which is what `fillet` means here.
+    pub fn from_fillet(fillet: f64) -> Self {
+        Self { rho: std::f64::consts::SQRT_2 * std::f64::consts::LN_2 / fillet }
+    }
+
+    /// The fillet length of [`from_fillet`](Self::from_fillet), metres.
+    pub fn fillet(&self) -> f64 {
+        std::f64::consts::SQRT_2 * std::f64::consts::LN_2 / self.rho
+    }
+
+    /// The largest distance between the smooth and the hard union of `components` components, metres: `log(m) / rho`.
+    pub fn bias(&self, components: usize) -> f64 {
+        (components.max(1) as f64).ln() / self.rho
+    }
+
+    /// How much further than the nearest component another one may be and still count, metres.
+    pub fn reach(&self) -> f64 {
+        SKIP / self.rho
+    }
+
+    /// Value and gradient from the components' distances and their gradients. `weights`, as long as `components`,
+    /// receives the `w_c`, exactly zero for those that do not count. Without components `Phi` is infinite.
+    pub fn eval(&self, components: &[(f64, Vector3)], weights: &mut [f64]) -> SmoothUnionPoint {
+        let minimum = components.iter().fold(f64::INFINITY, |m, c| m.min(c.0));
+        let mut sum = 0.0;
+        for (w, (phi, _)) in weights.iter_mut().zip(components) {
+            let exponent = self.rho * (phi - minimum);
+            *w = if exponent > SKIP { 0.0 } else { (-exponent).exp() };
+            sum += *w;
+        }
+        let mut gradient = Vector3::zeros();
+        for (w, (_, n)) in weights.iter_mut().zip(components) {
+            *w /= sum;
+            gradient += n * *w;
+        }
+        SmoothUnionPoint { phi: minimum - sum.ln() / self.rho, gradient }
+    }
+}
