@@ -3,6 +3,7 @@
 //! Readers check each count against the bytes that are left before they allocate, and return errors with the line or the
 //! byte offset where the file is wrong. What is not a triangle or a quadrilateral is left out and counted.
 
+mod cursor;
 pub mod msh;
 pub mod stl;
 pub mod vtu;
@@ -11,7 +12,7 @@ use std::fmt;
 
 use thiserror::Error;
 
-use crate::{MeshError, SurfaceMesh};
+use crate::{Cell, Group, Limits, MeshError, SurfaceMesh};
 
 /// A mesh as read, and what was left out.
 #[derive(Clone, Debug, PartialEq)]
@@ -104,4 +105,70 @@ pub enum ReadError {
     /// The file is read, but what it holds is not a valid mesh.
     #[error(transparent)]
     Mesh(#[from] MeshError),
+}
+
+impl ReadError {
+    fn unexpected(place: Place, expected: impl Into<String>, found: &[u8]) -> Self {
+        const SHOWN: usize = 40;
+        let mut found = String::from_utf8_lossy(&found[..found.len().min(SHOWN)]).into_owned();
+        found.retain(|c| !c.is_control());
+        Self::Unexpected { place, expected: expected.into(), found }
+    }
+}
+
+/// What a reader has found: nodes that cells may or may not use, and groups whose indices may repeat.
+#[derive(Default)]
+struct Draft {
+    ids: Vec<u64>,
+    positions: Vec<[f64; 3]>,
+    /// Cells, as indices of `positions`.
+    cells: Vec<Cell>,
+    cell_groups: Vec<Group>,
+    vertex_groups: Vec<Group>,
+    ignored_cells: usize,
+}
+
+impl Draft {
+    /// Leaves out nodes that no cell uses, sorts the groups, and validates.
+    fn finish(mut self, limits: &Limits) -> Result<Imported, ReadError> {
+        const UNUSED: u32 = u32::MAX;
+        let mut number = vec![UNUSED; self.positions.len()];
+        for vertex in self.cells.iter().flat_map(|cell| cell.vertices()) {
+            number[*vertex as usize] = 0;
+        }
+        let mut used = 0;
+        for number in number.iter_mut().filter(|number| **number != UNUSED) {
+            *number = used;
+            used += 1;
+        }
+        let ignored_vertices = number.len() - used as usize;
+        let mut keep = number.iter().map(|&number| number != UNUSED);
+        self.positions.retain(|_| keep.next() == Some(true));
+        let mut keep = number.iter().map(|&number| number != UNUSED);
+        self.ids.retain(|_| keep.next() == Some(true));
+        for cell in &mut self.cells {
+            *cell = cell.map(|vertex| number[vertex as usize]);
+        }
+        for group in &mut self.vertex_groups {
+            for index in &mut group.indices {
+                *index = number[*index as usize];
+            }
+            group.indices.retain(|&index| index != UNUSED);
+        }
+        for group in self.vertex_groups.iter_mut().chain(&mut self.cell_groups) {
+            group.indices.sort_unstable();
+            group.indices.dedup();
+        }
+        let Self { ids, positions, cells, cell_groups, vertex_groups, ignored_cells } = self;
+        let mesh = SurfaceMesh::with_limits(positions, cells, cell_groups, vertex_groups, limits)?;
+        Ok(Imported { mesh, vertex_ids: ids, ignored_vertices, ignored_cells })
+    }
+}
+
+/// Adds indices to the group of that name, which may be new.
+fn add_to_group(groups: &mut Vec<Group>, name: &str, indices: impl IntoIterator<Item = u32>) {
+    match groups.iter_mut().find(|group| group.name == name) {
+        Some(group) => group.indices.extend(indices),
+        None => groups.push(Group { name: name.to_owned(), indices: indices.into_iter().collect() }),
+    }
 }
