@@ -1,0 +1,265 @@
+//! Cross-sections of the reference geometry: local chord, quarter-chord point, planform area, centre line.
+
+use moldline_spline::Vector3;
+
+use crate::{Axis, ComponentReference};
+
+/// Samples kept per component at most, so that a huge control net does not become a huge sampling.
+const SAMPLE_LIMIT: usize = 100_000;
+/// Sections of the midpoint rule for the planform area.
+const AREA_SECTIONS: usize = 256;
+
+/// The axes of a lifting surface: span, chord (aft) and thickness (up), as indices of coordinates.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Axes {
+    pub(crate) span: usize,
+    pub(crate) chord: usize,
+    pub(crate) thickness: usize,
+}
+
+impl Axes {
+    /// Chord along x (y when the span is x), thickness along what remains.
+    pub(crate) fn of_span(span: Axis) -> Self {
+        match span {
+            Axis::X => Self { span: 0, chord: 1, thickness: 2 },
+            Axis::Y => Self { span: 1, chord: 0, thickness: 2 },
+            Axis::Z => Self { span: 2, chord: 0, thickness: 1 },
+        }
+    }
+}
+
+/// A cut of the planform: leading edge and the vector from there to the trailing edge, each `[chord, thickness]`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Section {
+    pub(crate) leading_edge: [f64; 2],
+    pub(crate) chord: [f64; 2],
+}
+
+impl Section {
+    pub(crate) fn quarter_chord(&self) -> [f64; 2] {
+        [0, 1].map(|a| self.leading_edge[a] + 0.25 * self.chord[a])
+    }
+}
+
+/// Grids of points on the surfaces of some components, to be cut by planes.
+pub(crate) struct SampledSurfaces {
+    /// Shape and points (second index fastest) of each patch.
+    grids: Vec<(usize, usize, Vec<Vector3>)>,
+}
+
+impl SampledSurfaces {
+    pub(crate) fn new(components: &[&ComponentReference]) -> Self {
+        let patches = || components.iter().flat_map(|c| &c.patches);
+        let intervals: usize = patches()
+            .map(|p| {
+                (p.surface.knots_u().breaks().len() - 1)
+                    .saturating_mul(p.surface.knots_v().breaks().len() - 1)
+            })
+            .sum();
+        let per_interval = ((SAMPLE_LIMIT / intervals.max(1)) as f64).sqrt().clamp(1.0, 8.0) as usize;
+        let grids = patches()
+            .map(|patch| {
+                let homogeneous: Vec<[f64; 4]> = patch
+                    .control_points
+                    .iter()
+                    .enumerate()
+                    .map(|(i, &[x, y, z])| {
+                        let w = patch.weights.get(i).copied().unwrap_or(1.0);
+                        [w * x, w * y, w * z, w]
+                    })
+                    .collect();
+                let surface = &patch.surface;
+                let us = subdivide(surface.knots_u().breaks(), per_interval);
+                let vs = subdivide(surface.knots_v().breaks(), per_interval);
+                let points = us
+                    .iter()
+                    .flat_map(|&u| vs.iter().map(move |&v| (u, v)))
+                    .map(|(u, v)| surface.position(&homogeneous, u, v))
+                    .collect();
+                (us.len(), vs.len(), points)
+            })
+            .collect();
+        Self { grids }
+    }
+
+    /// Smallest and largest coordinate along an axis.
+    pub(crate) fn range(&self, axis: usize) -> (f64, f64) {
+        self.grids
+            .iter()
+            .flat_map(|(_, _, points)| points)
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), p| (low.min(p[axis]), high.max(p[axis])))
+    }
+
+    /// Calls `visit` with every point where a sample line meets the plane `axis = station`.
+    fn cut(&self, axis: usize, station: f64, mut visit: impl FnMut(Vector3)) {
+        let mut edge = |a: &Vector3, b: &Vector3| {
+            let (da, db) = (a[axis] - station, b[axis] - station);
+            if da == 0.0 || db == 0.0 {
+                if da == 0.0 {
+                    visit(*a);
+                }
+                if db == 0.0 {
+                    visit(*b);
+                }
+            } else if (da < 0.0) != (db < 0.0) {
+                visit(a + (b - a) * (da / (da - db)));
+            }
+        };
+        for (n_u, n_v, points) in &self.grids {
+            for i in 0..*n_u {
+                for j in 0..*n_v {
+                    let p = &points[i * n_v + j];
+                    if j + 1 < *n_v {
+                        edge(p, &points[i * n_v + j + 1]);
+                    }
+                    if i + 1 < *n_u {
+                        edge(p, &points[(i + 1) * n_v + j]);
+                    }
+                }
+            }
+        }
+    }
+
+    /// Leading and trailing edge where the planes `span = station` (and `-station` when mirrored) cut the surfaces:
+    /// the extreme points along the chord axis, averaged where there are several (a blunt edge). `station` is moved
+    /// into the extent of the surfaces.
+    pub(crate) fn section(&self, axes: Axes, station: f64, mirrored: bool) -> Option<Section> {
+        let (low, high) = self.range(axes.span);
+        // A hair inside, so that a flat end is cut just before it whatever the rounding of its coordinates.
+        let hair = 1e-9 * (high - low);
+        let (low, high) = (low + hair, high - hair);
+        let mut points: Vec<[f64; 2]> = Vec::new();
+        let mut add = |station: f64| {
+            if low <= station && station <= high {
+                self.cut(axes.span, station, |p| points.push([p[axes.chord], p[axes.thickness]]));
+            }
+        };
+        if mirrored {
+            let reach = low.abs().max(high.abs());
+            let gap = if low > 0.0 { low } else { (-high).max(0.0) };
+            let station = station.abs().clamp(gap, reach.max(gap));
+            add(station);
+            if station > 0.0 {
+                add(-station);
+            }
+        } else {
+            add(station.clamp(low, high.max(low)));
+        }
+        let (first, last) = points
+            .iter()
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), p| (low.min(p[0]), high.max(p[0])));
+        let tie = 1e-9 * (last - first);
+        let mean = |extreme: f64| {
+            let at: Vec<_> = points.iter().filter(|p| (p[0] - extreme).abs() <= tie).collect();
+            let sum = at.iter().fold([0.0; 2], |s, p| [s[0] + p[0], s[1] + p[1]]);
+            sum.map(|s| s / at.len() as f64)
+        };
+        if points.is_empty() || first >= last {
+            return None;
+        }
+        let (leading_edge, trailing_edge) = (mean(first), mean(last));
+        Some(Section { leading_edge, chord: [0, 1].map(|a| trailing_edge[a] - leading_edge[a]) })
+    }
+
+    /// Middle of the extent of the cross-section `axis = station`, with `station` as its coordinate along the axis.
+    pub(crate) fn centre(&self, axis: usize, station: f64) -> Vector3 {
+        let (low, high) = self.range(axis);
+        let hair = 1e-9 * (high - low);
+        let inside = station.clamp(low + hair, (high - hair).max(low + hair));
+        let mut least = Vector3::repeat(f64::INFINITY);
+        let mut most = -least;
+        self.cut(axis, inside, |p| {
+            least = least.inf(&p);
+            most = most.sup(&p);
+        });
+        let mut centre = (least + most) * 0.5;
+        centre[axis] = station;
+        centre
+    }
+
+    /// Planform area (leading to trailing edge, through other components, both sides of a mirrored half model) and
+    /// aspect ratio span^2/area, m^2 and 1.
+    pub(crate) fn planform(&self, axes: Axes, mirrored: bool) -> Option<(f64, f64)> {
+        let (low, high) = self.range(axes.span);
+        let (start, end, sides) =
+            if mirrored { (0.0, low.abs().max(high.abs()), 2.0) } else { (low, high, 1.0) };
+        let width = (end - start) / AREA_SECTIONS as f64;
+        let mut area = 0.0;
+        for i in 0..AREA_SECTIONS {
+            let station = start + (i as f64 + 0.5) * width;
+            area += sides * width * self.section(axes, station, mirrored)?.chord[0];
+        }
+        let span = sides * (end - start);
+        (area > 0.0).then(|| (area, span * span / area))
+    }
+}
+
+/// Each interval of `breaks` cut into `parts` equal ones.
+fn subdivide(breaks: &[f64], parts: usize) -> Vec<f64> {
+    let mut all: Vec<f64> = breaks
+        .windows(2)
+        .flat_map(|w| (0..parts).map(move |i| w[0] + (w[1] - w[0]) * (i as f64 / parts as f64)))
+        .collect();
+    all.extend(breaks.last());
+    all
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{box_body, tapered_wing};
+
+    const WING: Axes = Axes { span: 1, chord: 0, thickness: 2 };
+
+    #[test]
+    fn section_of_a_tapered_wing_is_the_closed_form() {
+        // Leading edge x = 1 + 0.5 |y|, chord 4 - 0.4 |y|, z = 0.1 |y| on the chord line, half span 5.
+        let wing = tapered_wing();
+        let sampled = SampledSurfaces::new(&[&wing]);
+        for y in [0.0, 0.7, -2.2, 4.9, 5.0, 17.0] {
+            let eta = f64::min(5.0, f64::abs(y));
+            let section = sampled.section(WING, y, true).expect("the plane cuts the wing");
+            assert!((section.leading_edge[0] - (1.0 + 0.5 * eta)).abs() < 1e-7, "{y} {section:?}");
+            assert!((section.leading_edge[1] - 0.1 * eta).abs() < 1e-7);
+            assert!((section.chord[0] - (4.0 - 0.4 * eta)).abs() < 1e-7);
+            assert!(section.chord[1].abs() < 1e-7);
+        }
+    }
+
+    #[test]
+    fn planform_of_a_tapered_wing_is_the_closed_form() {
+        let wing = tapered_wing();
+        // S = 2 * 5 * (4 + 2)/2 = 30, A = 100/30.
+        let (area, aspect_ratio) =
+            SampledSurfaces::new(&[&wing]).planform(WING, true).expect("has a planform");
+        assert!((area - 30.0).abs() < 1e-6, "{area}");
+        assert!((aspect_ratio - 100.0 / 30.0).abs() < 1e-6);
+        // The starboard half alone, read as a half model, gives the same.
+        let mut half = wing.clone();
+        for patch in &mut half.patches {
+            for p in &mut patch.control_points {
+                p[1] = 0.5 * (p[1] + 5.0);
+                let eta = p[1];
+                // Re-shear: keep the relative chordwise place of the point at its new station.
+                let old = 2.0 * eta - 5.0;
+                let s = (p[0] - 1.0 - 0.5 * old.abs()) / (4.0 - 0.4 * old.abs());
+                p[0] = 1.0 + 0.5 * eta + s * (4.0 - 0.4 * eta);
+            }
+        }
+        let (area, aspect_ratio) =
+            SampledSurfaces::new(&[&half]).planform(WING, true).expect("has a planform");
+        assert!((area - 30.0).abs() < 0.02, "{area}");
+        assert!((aspect_ratio - 100.0 / 30.0).abs() < 0.002);
+    }
+
+    #[test]
+    fn centre_of_a_slanted_box() {
+        // Unit square cross-section whose centre is (y, z) = (0, 0.3 x).
+        let body = box_body();
+        let sampled = SampledSurfaces::new(&[&body]);
+        for x in [0.0, 3.3, 10.0] {
+            let centre = sampled.centre(0, x);
+            assert!((centre - Vector3::new(x, 0.0, 0.3 * x)).norm() < 1e-7, "{centre}");
+        }
+    }
+}

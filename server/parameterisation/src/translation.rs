@@ -1,0 +1,33 @@
+//! Translation: x' = x + a d, with the unit direction d and the length a.
+
+use moldline_spline::Vector3;
+
+use crate::{channel::Additive, parameterisation::shift};
+
+#[derive(Debug)]
+pub(crate) struct Translation {
+    pub(crate) targets: Vec<usize>,
+    pub(crate) direction: Vector3,
+    pub(crate) length: Additive,
+}
+
+impl Translation {
+    pub(crate) fn eval(&self, design: &[f64], points: &mut [Vector3]) {
+        let step = self.direction * self.length.value(design, 0);
+        for &i in &self.targets {
+            shift(&mut points[i], step);
+        }
+    }
+
+    pub(crate) fn jvp(&self, direction: &[f64], tangents: &mut [Vector3]) {
+        let step = self.direction * self.length.jvp(direction, 0);
+        for &i in &self.targets {
+            tangents[i] += step;
+        }
+    }
+
+    pub(crate) fn vjp(&self, seeds: &[Vector3], gradient: &mut [f64]) {
+        let sum: Vector3 = self.targets.iter().map(|&i| seeds[i]).sum();
+        self.length.vjp(self.direction.dot(&sum), 0, gradient);
+    }
+}
