@@ -71,9 +71,7 @@ impl<'a> Cursor<'a> {
     pub(super) fn number<T: FromStr>(&mut self, expected: &str) -> Result<T, ReadError> {
         let word = self.word(expected)?;
         let number = std::str::from_utf8(word).ok().and_then(|word| word.parse().ok());
-        number.ok_or_else(|| {
-            ReadError::unexpected(self.place_of(self.position - word.len()), expected, word)
-        })
+        number.ok_or_else(|| ReadError::unexpected(self.place_of(self.position - word.len()), expected, word))
     }
 
     pub(super) fn take(&mut self, length: usize, expected: &str) -> Result<&'a [u8], ReadError> {

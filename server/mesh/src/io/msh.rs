@@ -40,7 +40,8 @@ mod element {
 
     /// Number of nodes of types 1 to 31.
     const NODES: [u8; 31] = [
-        2, 3, 4, 4, 8, 6, 5, 3, 6, 9, 10, 27, 18, 14, 1, 8, 20, 15, 13, 9, 10, 12, 15, 15, 21, 4, 5, 6, 20, 35, 56,
+        2, 3, 4, 4, 8, 6, 5, 3, 6, 9, 10, 27, 18, 14, 1, 8, 20, 15, 13, 9, 10, 12, 15, 15, 21, 4, 5, 6, 20,
+        35, 56,
     ];
 
     pub(super) fn nodes(kind: i32) -> Option<usize> {
@@ -255,7 +256,11 @@ impl<'a> Reader<'a> {
         for _ in 0..count {
             let tag = self.cursor.int("a node's number")?;
             let tag = u64::try_from(tag).map_err(|_| {
-                ReadError::unexpected(self.cursor.place(), "a positive node number", tag.to_string().as_bytes())
+                ReadError::unexpected(
+                    self.cursor.place(),
+                    "a positive node number",
+                    tag.to_string().as_bytes(),
+                )
             })?;
             self.add_node(tag)?;
             let position = self.coordinates()?;
@@ -515,7 +520,8 @@ impl Layout {
                 (!empty).then_some((dimension, number + 1, &group.name))
             })
         };
-        let cell_groups = mesh.cell_groups.iter().enumerate().map(|(number, group)| (2, number + 1, &group.name));
+        let cell_groups =
+            mesh.cell_groups.iter().enumerate().map(|(number, group)| (2, number + 1, &group.name));
         let names: Vec<_> = vertex_groups(0).chain(vertex_groups(1)).chain(cell_groups).collect();
         if names.is_empty() {
             return Ok(());
@@ -557,7 +563,8 @@ impl Layout {
         writeln!(out, "$EndNodes")?;
 
         // Runs of cells of one entity and type keep the cells in order.
-        let kinds: Vec<_> = mesh.cells.iter().zip(&self.entity).map(|(cell, &entity)| (entity, kind(cell))).collect();
+        let kinds: Vec<_> =
+            mesh.cells.iter().zip(&self.entity).map(|(cell, &entity)| (entity, kind(cell))).collect();
         let runs = kinds.chunk_by(|a, b| a == b).count();
         let single: usize = points.iter().map(|(_, (_, single))| single.len()).sum();
         let edges: usize = curves.iter().map(|(_, (edges, _))| edges.len()).sum();

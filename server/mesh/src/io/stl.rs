@@ -18,7 +18,12 @@ pub fn read(bytes: &[u8], tolerance: f64, limits: &Limits) -> Result<Imported, R
             let corner = |k: usize| {
                 std::array::from_fn(|axis| {
                     let at = 12 * (k + 1) + 4 * axis;
-                    f64::from(f32::from_le_bytes([record[at], record[at + 1], record[at + 2], record[at + 3]]))
+                    f64::from(f32::from_le_bytes([
+                        record[at],
+                        record[at + 1],
+                        record[at + 2],
+                        record[at + 3],
+                    ]))
                 })
             };
             merger.add([corner(0), corner(1), corner(2)], "", Place::Byte(HEAD))?;

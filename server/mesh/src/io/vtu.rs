@@ -1,7 +1,19 @@
 //! VTK's XML unstructured grid (`.vtu`).
 
-use super::{Imported, ReadError};
-use crate::{Limits, SurfaceMesh};
+mod data;
+mod xml;
+
+use std::fmt::Write;
+
+use self::{
+    data::{ArrayTag, File},
+    xml::{Scanner, Tag},
+};
+use super::{Draft, Imported, Place, ReadError, add_to_group};
+use crate::{Cell, Group, Limits, SurfaceMesh};
+
+/// Names of the arrays that hold groups begin with this.
+const GROUP: &str = "group:";
 
 /// A data array to write beside the mesh.
 #[derive(Clone, Copy, Debug)]
@@ -31,8 +43,193 @@ pub enum Values<'a> {
 /// # Errors
 /// [`ReadError`], with a line or byte offset.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<Imported, ReadError> {
-    let _ = (bytes, limits);
-    todo!()
+    let (file, pieces) = scan(bytes)?;
+    let mut draft = Draft::default();
+    for piece in &pieces {
+        read_piece(&file, piece, limits, &mut draft)?;
+    }
+    if pieces.is_empty() {
+        return Err(ReadError::Missing { what: "Piece" });
+    }
+    draft.finish(limits)
+}
+
+/// Where the arrays of a piece are.
+#[derive(Default)]
+struct Piece<'a> {
+    place: usize,
+    points: u64,
+    cells: u64,
+    coordinates: Option<ArrayTag<'a>>,
+    connectivity: Option<ArrayTag<'a>>,
+    offsets: Option<ArrayTag<'a>>,
+    types: Option<ArrayTag<'a>>,
+    point_groups: Vec<(String, ArrayTag<'a>)>,
+    cell_groups: Vec<(String, ArrayTag<'a>)>,
+}
+
+/// Notes where everything is, without decoding it.
+fn scan(bytes: &[u8]) -> Result<(File<'_>, Vec<Piece<'_>>), ReadError> {
+    let mut scanner = Scanner::new(bytes);
+    let mut file = None;
+    let mut pieces: Vec<Piece<'_>> = Vec::new();
+    let mut within = "";
+    while let Some(tag) = scanner.next_tag()? {
+        if tag.closing {
+            continue;
+        }
+        match tag.name {
+            "VTKFile" => file = Some(File::new(bytes, &tag)?),
+            "Piece" => {
+                let points = tag.required("NumberOfPoints")?;
+                let cells = tag.required("NumberOfCells")?;
+                pieces.push(Piece { place: tag.start, points, cells, ..Piece::default() });
+            }
+            "Points" | "Cells" | "PointData" | "CellData" | "FieldData" => within = tag.name,
+            "DataArray" => {
+                if let Some(piece) = pieces.last_mut() {
+                    note_array(piece, within, &tag, &mut scanner)?;
+                }
+            }
+            "AppendedData" => {
+                let file = file.as_mut().ok_or(ReadError::Missing { what: "VTKFile" })?;
+                file.note_appended(&tag)?;
+                // What follows may be raw bytes.
+                break;
+            }
+            _ => {}
+        }
+    }
+    Ok((file.ok_or(ReadError::Missing { what: "VTKFile" })?, pieces))
+}
+
+fn note_array<'a>(
+    piece: &mut Piece<'a>,
+    within: &str,
+    tag: &Tag<'a>,
+    scanner: &mut Scanner<'a>,
+) -> Result<(), ReadError> {
+    let name = tag.attribute("Name").unwrap_or_default();
+    let group = name.strip_prefix(GROUP).map(str::to_owned);
+    match (within, name.as_ref(), group) {
+        ("Points", ..) => piece.coordinates = Some(ArrayTag::new(tag, scanner)?),
+        ("Cells", "connectivity", _) => piece.connectivity = Some(ArrayTag::new(tag, scanner)?),
+        ("Cells", "offsets", _) => piece.offsets = Some(ArrayTag::new(tag, scanner)?),
+        ("Cells", "types", _) => piece.types = Some(ArrayTag::new(tag, scanner)?),
+        ("PointData", _, Some(group)) => piece.point_groups.push((group, ArrayTag::new(tag, scanner)?)),
+        ("CellData", _, Some(group)) => piece.cell_groups.push((group, ArrayTag::new(tag, scanner)?)),
+        _ => {}
+    }
+    Ok(())
+}
+
+fn need<'b, 'a>(array: &'b Option<ArrayTag<'a>>, what: &'static str) -> Result<&'b ArrayTag<'a>, ReadError> {
+    array.as_ref().ok_or(ReadError::Missing { what })
+}
+
+fn read_piece(
+    file: &File<'_>,
+    piece: &Piece<'_>,
+    limits: &Limits,
+    draft: &mut Draft,
+) -> Result<(), ReadError> {
+    let count = |what, count: u64, known: usize, limit: usize| {
+        let limit = limit.saturating_sub(known).min(file.bytes.len() * data::MOST_PER_BYTE) as u64;
+        let place = Place::Byte(piece.place);
+        if count > limit { Err(ReadError::TooMany { place, what, count, limit }) } else { Ok(count as usize) }
+    };
+    let points = count("points", piece.points, draft.positions.len(), limits.vertices)?;
+    // Cells of other kinds are left out, and count against the limit only here.
+    let cells = count("cells", piece.cells, 0, limits.cells)?;
+    if points == 0 && cells == 0 {
+        return Ok(());
+    }
+    let coordinates = file.reals(need(&piece.coordinates, "array of points")?, 3 * points)?;
+    let first = draft.positions.len();
+    draft.ids.extend((0..points).map(|index| (first + index) as u64));
+    draft.positions.extend(coordinates.chunks_exact(3).map(|x| [x[0], x[1], x[2]]));
+    if cells == 0 {
+        return Ok(());
+    }
+
+    let types_tag = need(&piece.types, "array `types`")?;
+    let offsets_tag = need(&piece.offsets, "array `offsets`")?;
+    let connectivity_tag = need(&piece.connectivity, "array `connectivity`")?;
+    let types = file.integers(types_tag, cells)?;
+    let offsets = file.integers(offsets_tag, cells)?;
+    let at_offsets = file.place(offsets_tag);
+    let mut last = 0;
+    for &offset in &offsets {
+        if offset < last {
+            let found = offset.to_string();
+            return Err(ReadError::unexpected(
+                at_offsets,
+                format!("an offset of at least {last}"),
+                found.as_bytes(),
+            ));
+        }
+        last = offset;
+    }
+    // Each cell that is kept has at most four vertices; others may have more, but no more than the file can hold.
+    let limit = (file.bytes.len() * data::MOST_PER_BYTE) as u64;
+    if last as u64 > limit {
+        let count = last as u64;
+        return Err(ReadError::TooMany { place: at_offsets, what: "cell vertices", count, limit });
+    }
+    let connectivity = file.integers(connectivity_tag, last as usize)?;
+    let at_connectivity = file.place(connectivity_tag);
+    let vertex = |index: i64| match usize::try_from(index) {
+        Ok(index) if index < points => Ok((first + index) as u32),
+        Ok(index) => Err(ReadError::UnknownNode { place: at_connectivity, node: index as u64 }),
+        Err(_) => {
+            Err(ReadError::unexpected(at_connectivity, "an index of a point", index.to_string().as_bytes()))
+        }
+    };
+
+    // The number each cell of the file gets, if it is kept.
+    let mut numbers: Vec<Option<u32>> = Vec::with_capacity(cells);
+    let mut start = 0;
+    for (&kind, &end) in types.iter().zip(&offsets) {
+        let indices = &connectivity[start..end as usize];
+        start = end as usize;
+        let cell = match (kind, indices) {
+            (5 | 7, &[a, b, c]) => Cell::triangle(vertex(a)?, vertex(b)?, vertex(c)?),
+            (9 | 7, &[a, b, c, d]) => Cell::quad(vertex(a)?, vertex(b)?, vertex(c)?, vertex(d)?),
+            // A pixel is numbered row by row.
+            (8, &[a, b, d, c]) => Cell::quad(vertex(a)?, vertex(b)?, vertex(c)?, vertex(d)?),
+            (5 | 8 | 9, _) => {
+                let found = format!("{} vertices", indices.len());
+                let expected = format!("a cell of type {kind}");
+                return Err(ReadError::unexpected(at_offsets, expected, found.as_bytes()));
+            }
+            // Strips, larger polygons, and the curved surface cells.
+            (6 | 7 | 22 | 23 | 28 | 30 | 34..=36 | 69 | 70 | 75 | 76, _) => {
+                return Err(ReadError::Unsupported {
+                    place: file.place(types_tag),
+                    what: format!("VTK cell type {kind} with {} vertices", indices.len()),
+                    advice: "write straight triangles (5) and quadrilaterals (9)",
+                });
+            }
+            _ => {
+                numbers.push(None);
+                draft.ignored_cells += 1;
+                continue;
+            }
+        };
+        numbers.push(Some(draft.cells.len() as u32));
+        draft.cells.push(cell);
+    }
+
+    for (name, tag) in &piece.point_groups {
+        let members = (0_u32..).zip(file.integers(tag, points)?).filter(|&(_, value)| value != 0);
+        add_to_group(&mut draft.vertex_groups, name, members.map(|(index, _)| first as u32 + index));
+    }
+    for (name, tag) in &piece.cell_groups {
+        let members = file.integers(tag, cells)?.into_iter().zip(&numbers);
+        let members = members.filter(|&(value, _)| value != 0).filter_map(|(_, number)| *number);
+        add_to_group(&mut draft.cell_groups, name, members);
+    }
+    Ok(())
 }
 
 /// Writes appended raw little-endian data with the given arrays and the mesh's groups.
@@ -40,6 +237,91 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<Imported, ReadError> {
 /// # Panics
 /// If an array's length is not `components` times the number of points or cells.
 pub fn write(mesh: &SurfaceMesh, point_data: &[Array<'_>], cell_data: &[Array<'_>]) -> Vec<u8> {
-    let _ = (mesh, point_data, cell_data);
-    todo!()
+    let (points, cells) = (mesh.vertices.len(), mesh.cells.len());
+    let mut writer = Writer::default();
+    writer.text.push_str(
+        "<?xml version=\"1.0\"?>\n<VTKFile type=\"UnstructuredGrid\" version=\"1.0\" byte_order=\"LittleEndian\" \
+         header_type=\"UInt64\">\n<UnstructuredGrid>\n",
+    );
+    writer.text.push_str(&format!("<Piece NumberOfPoints=\"{points}\" NumberOfCells=\"{cells}\">\n"));
+
+    writer.text.push_str("<PointData>\n");
+    writer.data(point_data, points);
+    writer.groups(&mesh.vertex_groups, points);
+    writer.text.push_str("</PointData>\n<CellData>\n");
+    writer.data(cell_data, cells);
+    writer.groups(&mesh.cell_groups, cells);
+    writer.text.push_str("</CellData>\n<Points>\n");
+    writer.array("Float64", "Points", 3, mesh.vertices.iter().flatten().flat_map(|x| x.to_le_bytes()));
+    writer.text.push_str("</Points>\n<Cells>\n");
+    let connectivity = mesh.cells.iter().flat_map(|cell| cell.vertices());
+    writer.array(
+        "Int64",
+        "connectivity",
+        1,
+        connectivity.flat_map(|&vertex| i64::from(vertex).to_le_bytes()),
+    );
+    let ends = mesh.cells.iter().scan(0_i64, |end, cell| {
+        *end += cell.vertices().len() as i64;
+        Some(*end)
+    });
+    writer.array("Int64", "offsets", 1, ends.flat_map(i64::to_le_bytes));
+    writer.array("UInt8", "types", 1, mesh.cells.iter().map(|cell| if cell.is_triangle() { 5 } else { 9 }));
+    writer.text.push_str("</Cells>\n</Piece>\n</UnstructuredGrid>\n<AppendedData encoding=\"raw\">\n_");
+
+    let mut out = writer.text.into_bytes();
+    out.append(&mut writer.appended);
+    out.extend_from_slice(b"\n</AppendedData>\n</VTKFile>\n");
+    out
+}
+
+#[derive(Default)]
+struct Writer {
+    text: String,
+    appended: Vec<u8>,
+}
+
+impl Writer {
+    fn array(&mut self, kind: &str, name: &str, components: usize, bytes: impl Iterator<Item = u8>) {
+        let offset = self.appended.len();
+        // Writing to a string cannot fail.
+        let _ = writeln!(
+            self.text,
+            "<DataArray type=\"{kind}\" Name=\"{}\" NumberOfComponents=\"{components}\" format=\"appended\" \
+             offset=\"{offset}\"/>",
+            xml::escape(name)
+        );
+        self.appended.extend_from_slice(&[0; 8]);
+        self.appended.extend(bytes);
+        let length = (self.appended.len() - offset - 8) as u64;
+        self.appended[offset..offset + 8].copy_from_slice(&length.to_le_bytes());
+    }
+
+    fn data(&mut self, arrays: &[Array<'_>], count: usize) {
+        for &Array { name, components, values } in arrays {
+            let length = match values {
+                Values::Float64(values) => values.len(),
+                Values::Int32(values) => values.len(),
+                Values::UInt8(values) => values.len(),
+            };
+            assert_eq!(length, components * count, "array `{name}`: {components} values for each of {count}");
+            match values {
+                Values::Float64(values) => {
+                    self.array("Float64", name, components, values.iter().flat_map(|x| x.to_le_bytes()));
+                }
+                Values::Int32(values) => {
+                    self.array("Int32", name, components, values.iter().flat_map(|x| x.to_le_bytes()));
+                }
+                Values::UInt8(values) => self.array("UInt8", name, components, values.iter().copied()),
+            }
+        }
+    }
+
+    fn groups(&mut self, groups: &[Group], count: usize) {
+        for group in groups {
+            let mut member = vec![0; count];
+            group.indices.iter().for_each(|&index| member[index as usize] = 1);
+            self.array("UInt8", &format!("{GROUP}{}", group.name), 1, member.into_iter());
+        }
+    }
 }
