@@ -1,0 +1,23 @@
+"""Generates `moldline.v1` (messages and stubs) from the .proto files whenever the package is built or installed."""
+
+from importlib import resources
+from pathlib import Path
+
+from grpc_tools import protoc
+from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+
+
+class GenerateMessages(BuildHookInterface):
+    """The .proto files are the repository's, or in a source distribution those beside this file."""
+
+    def initialize(self, version: str, build_data: dict) -> None:
+        root = Path(self.root)
+        sources = next(path for path in (root / "proto", root.parents[1] / "proto") if (path / "moldline").is_dir())
+        files = sorted(str(path) for path in (sources / "moldline" / "v1").glob("*.proto"))
+        well_known = resources.files("grpc_tools") / "_proto"
+        target = root / "src"
+        arguments = [f"-I{sources}", f"-I{well_known}", f"--python_out={target}", f"--pyi_out={target}"]
+        if protoc.main(["protoc", *arguments, f"--grpc_python_out={target}", *files]) != 0:
+            raise RuntimeError("the .proto files do not compile; the messages above say where")
+        package = target / "moldline" / "v1" / "__init__.py"
+        package.write_text('"""Wire messages, generated from proto/moldline/v1."""\n')

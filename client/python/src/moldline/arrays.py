@@ -1,0 +1,31 @@
+"""numpy arrays on the wire: little-endian bytes with element type and shape."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from moldline.errors import InternalError
+from moldline.v1 import array_pb2
+
+_DTYPES = {
+    array_pb2.DATA_TYPE_FLOAT64: np.dtype("<f8"),
+    array_pb2.DATA_TYPE_UINT32: np.dtype("<u4"),
+    array_pb2.DATA_TYPE_UINT8: np.dtype("u1"),
+}
+
+
+def from_wire(array: array_pb2.Array) -> NDArray[Any]:
+    """The array itself, read-only and without a copy: its memory is the message's."""
+    try:
+        return np.frombuffer(array.data, dtype=_DTYPES[array.dtype]).reshape(tuple(array.shape))
+    except (KeyError, ValueError) as error:
+        raise InternalError(f"the server sent an array that contradicts itself: {error}") from None
+
+
+def to_wire(values: Any) -> array_pb2.Array:
+    """`values` as a float64 message of the same shape."""
+    values = np.ascontiguousarray(values, dtype="<f8")
+    return array_pb2.Array(dtype=array_pb2.DATA_TYPE_FLOAT64, shape=values.shape, data=values.tobytes())

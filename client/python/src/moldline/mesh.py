@@ -1,0 +1,128 @@
+"""Surface meshes, and writing them for ParaView."""
+
+from __future__ import annotations
+
+import os
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+#: Fourth entry of a triangle.
+NO_VERTEX = np.uint32(0xFFFFFFFF)
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A surface mesh of triangles and quadrilaterals."""
+
+    #: float64, (n, 3), metres.
+    vertices: NDArray[np.float64]
+    #: uint32, (m, 4): vertices of each cell, counter-clockwise from outside; a triangle's fourth is 0xFFFFFFFF.
+    cells: NDArray[np.uint32]
+    #: uint32, (m,): index into `components` of the component that owns the cell.
+    cell_owner: NDArray[np.uint32]
+    #: bool, (n,): whether the vertex lies on a seam of two components.
+    seam: NDArray[np.bool_]
+    #: Names of the components.
+    components: tuple[str, ...]
+
+    @property
+    def triangles(self) -> NDArray[np.bool_]:
+        """bool, (m,): which cells are triangles."""
+        return np.asarray(self.cells[:, 3] == NO_VERTEX)
+
+
+def write_vtu(
+    path: str | os.PathLike[str],
+    mesh: Mesh,
+    vertices: ArrayLike | None = None,
+    point_data: Mapping[str, ArrayLike] | None = None,
+    cell_data: Mapping[str, ArrayLike] | None = None,
+) -> None:
+    """Writes `mesh` as a VTK unstructured grid (.vtu, appended raw binary), with owner and seam.
+
+    `vertices`: float64, (n, 3), metres, in place of the mesh's own, such as `Deformation.vertices`.
+    `point_data`, `cell_data`: arrays by name, of first extent n or m.
+    """
+    points = np.asarray(mesh.vertices if vertices is None else vertices, dtype="<f8")
+    if points.shape != mesh.vertices.shape:
+        raise ValueError(f"vertices have shape {points.shape}, the mesh has {mesh.vertices.shape}")
+    corners = np.where(mesh.triangles, 3, 4)
+    connectivity = mesh.cells[mesh.cells != NO_VERTEX]
+
+    blocks = _Blocks()
+    seam = {"seam": mesh.seam.astype("u1"), **(point_data or {})}
+    owner = {"owner": mesh.cell_owner, **(cell_data or {})}
+    body = [
+        _element("Points", [blocks.add("points", points)]),
+        _element(
+            "Cells",
+            [
+                blocks.add("connectivity", connectivity.astype("<i8")),
+                blocks.add("offsets", np.cumsum(corners).astype("<i8")),
+                blocks.add("types", np.where(mesh.triangles, 5, 9).astype("u1")),
+            ],
+        ),
+        _element("PointData", [blocks.add(name, _of_length(name, data, len(points))) for name, data in seam.items()]),
+        _element("CellData", [blocks.add(name, _of_length(name, data, len(corners))) for name, data in owner.items()]),
+    ]
+    head = (
+        '<?xml version="1.0"?>\n'
+        '<VTKFile type="UnstructuredGrid" version="1.0" byte_order="LittleEndian" header_type="UInt64">\n'
+        f'<UnstructuredGrid>\n<Piece NumberOfPoints="{len(points)}" NumberOfCells="{len(corners)}">\n'
+        f"{''.join(body)}</Piece>\n</UnstructuredGrid>\n"
+        '<AppendedData encoding="raw">_'
+    )
+    tail = "</AppendedData>\n</VTKFile>\n"
+    Path(path).write_bytes(b"".join([head.encode(), *blocks.data, tail.encode()]))
+
+
+_VTK_TYPES = {
+    "float64": "Float64",
+    "float32": "Float32",
+    "int64": "Int64",
+    "int32": "Int32",
+    "uint64": "UInt64",
+    "uint32": "UInt32",
+    "uint8": "UInt8",
+    "int8": "Int8",
+}
+
+
+class _Blocks:
+    """Appended data: each block is its length in bytes and its bytes."""
+
+    def __init__(self) -> None:
+        self.data: list[bytes] = []
+        self._offset = 0
+
+    def add(self, name: str, values: NDArray[Any]) -> str:
+        if values.dtype == np.bool_:
+            values = values.astype("u1")
+        kind = _VTK_TYPES.get(values.dtype.name)
+        if kind is None or values.ndim not in (1, 2):
+            raise ValueError(f"{name}: arrays of {values.dtype}, {values.ndim} dimensions, cannot be written")
+        columns = values.shape[1] if values.ndim == 2 else 1
+        content = np.ascontiguousarray(values, dtype=values.dtype.newbyteorder("<")).tobytes()
+        description = f'<DataArray type="{kind}" Name={quoteattr(name)} NumberOfComponents="{columns}"'
+        description += f' format="appended" offset="{self._offset}"/>\n'
+        self.data += [struct.pack("<Q", len(content)), content]
+        self._offset += 8 + len(content)
+        return description
+
+
+def _element(tag: str, children: list[str]) -> str:
+    return f"<{tag}>\n{''.join(children)}</{tag}>\n"
+
+
+def _of_length(name: str, data: ArrayLike, length: int) -> NDArray[Any]:
+    array = np.asarray(data)
+    if array.shape[:1] != (length,):
+        raise ValueError(f"{name} has shape {array.shape}, its first extent has to be {length}")
+    return array

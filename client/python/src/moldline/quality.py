@@ -1,0 +1,89 @@
+"""Quality of a mesh."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from moldline.v1 import quality_pb2
+
+
+@dataclass(frozen=True)
+class Distribution:
+    """Percentiles over cells."""
+
+    p50: float
+    p95: float
+    p99: float
+    max: float
+    #: Share of the cells above 5, in percent.
+    above_5_percent: float
+
+
+@dataclass(frozen=True)
+class QualitySummary:
+    """Measures of some cells."""
+
+    #: How many cells.
+    cells: int
+    #: Verdict's aspect ratio.
+    aspect_ratio: Distribution
+    #: Longest over shortest edge.
+    edge_ratio: Distribution
+    #: Against the owner surface's current normal; 1 at best, negative where a corner is inverted.
+    min_scaled_jacobian: float
+    #: Interior angles, degrees.
+    min_angle: float
+    max_angle: float
+    #: Equiangle skew, 0 at best.
+    skew_p95: float
+    skew_max: float
+    #: Cells whose area vector points against their owner's normal.
+    folded: int
+    #: Cells with a corner that is turned against the owner's normal.
+    inverted: int
+
+
+@dataclass(frozen=True)
+class QualityReport:
+    """Measures of all cells and of each component's. `str` gives a table."""
+
+    total: QualitySummary
+    components: dict[str, QualitySummary]
+
+    def __str__(self) -> str:
+        title = f"{'':<16} {'cells':>8} {'AR p95':>8} {'AR max':>8} {'>5 [%]':>8} {'edges p95':>10}"
+        title += f" {'min SJ':>8} {'angles [deg]':>14} {'folded':>7}"
+        rows = [*self.components.items(), ("total", self.total)]
+        return "\n".join([title, *(_row(name, summary) for name, summary in rows)])
+
+
+def _row(name: str, s: QualitySummary) -> str:
+    ratios = f"{s.aspect_ratio.p95:>8.3f} {s.aspect_ratio.max:>8.3f} {s.aspect_ratio.above_5_percent:>8.3f}"
+    angles = f"{s.min_angle:.1f}..{s.max_angle:.1f}"
+    edges = f"{s.edge_ratio.p95:>10.3f} {s.min_scaled_jacobian:>8.3f}"
+    return f"{name:<16} {s.cells:>8} {ratios} {edges} {angles:>14} {s.folded:>7}"
+
+
+def report_from_wire(report: quality_pb2.QualityReport) -> QualityReport:
+    """The report of a message."""
+    components = {entry.component: _summary(entry.summary) for entry in report.components}
+    return QualityReport(_summary(report.total), components)
+
+
+def _summary(s: quality_pb2.QualitySummary) -> QualitySummary:
+    return QualitySummary(
+        cells=s.cells,
+        aspect_ratio=_distribution(s.aspect_ratio),
+        edge_ratio=_distribution(s.edge_ratio),
+        min_scaled_jacobian=s.min_scaled_jacobian,
+        min_angle=s.min_angle,
+        max_angle=s.max_angle,
+        skew_p95=s.skew_p95,
+        skew_max=s.skew_max,
+        folded=s.folded,
+        inverted=s.inverted,
+    )
+
+
+def _distribution(d: quality_pb2.Distribution) -> Distribution:
+    return Distribution(d.p50, d.p95, d.p99, d.max, d.above_5_percent)

@@ -1,0 +1,52 @@
+"""A set-up's files as messages."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from moldline.v1 import mesh_service_pb2 as wire
+
+#: Bytes of one message, within the server's limit of 1 MiB.
+CHUNK = 1 << 20
+
+_ARCHIVES = {
+    ".tar": wire.ARCHIVE_KIND_TAR,
+    ".tar.gz": wire.ARCHIVE_KIND_TAR_GZ,
+    ".tgz": wire.ARCHIVE_KIND_TAR_GZ,
+    ".zip": wire.ARCHIVE_KIND_ZIP,
+}
+
+
+def messages(path: str | os.PathLike[str], setup_file: str, request_id: str) -> Iterator[wire.CreateSetupRequest]:
+    """The header, then the files' bytes.
+
+    Of a folder all files are sent but hidden ones and Python's caches.
+    """
+    path = Path(path)
+    header = wire.SetupHeader(request_id=request_id, setup_file=setup_file)
+    if path.is_dir():
+        files = [file for file in sorted(path.rglob("*")) if file.is_file() and not _hidden(file.relative_to(path))]
+        for file in files:
+            header.files.files.add(path=file.relative_to(path).as_posix(), size=file.stat().st_size)
+    else:
+        kind = next((kind for suffix, kind in _ARCHIVES.items() if path.name.endswith(suffix)), None)
+        if kind is None:
+            raise ValueError(f"{path} is neither a folder nor an archive ({', '.join(_ARCHIVES)})")
+        files = [path]
+        header.archive.kind = kind
+        header.archive.size = path.stat().st_size
+    return _parts(header, files)
+
+
+def _parts(header: wire.SetupHeader, files: list[Path]) -> Iterator[wire.CreateSetupRequest]:
+    yield wire.CreateSetupRequest(header=header)
+    for index, file in enumerate(files):
+        with file.open("rb") as stream:
+            while data := stream.read(CHUNK):
+                yield wire.CreateSetupRequest(chunk=wire.SetupChunk(file=index, data=data))
+
+
+def _hidden(path: Path) -> bool:
+    return any(part.startswith(".") or part == "__pycache__" for part in path.parts)

@@ -1,0 +1,188 @@
+//! The command line and the environment.
+
+use std::{net::SocketAddr, num::NonZeroUsize, path::PathBuf, time::Duration};
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use moldline_service::{Limits, PoolLimits};
+
+/// Deforms surface meshes with their geometry.
+#[derive(Debug, Parser)]
+#[command(version, about)]
+pub struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+    /// Logs.
+    #[command(flatten)]
+    pub telemetry: Telemetry,
+}
+
+/// What the program can do.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Serve set-ups and sessions over gRPC
+    Serve(Serve),
+    /// Deform the mesh of a set-up on this machine and write it as VTU
+    Deform(Deform),
+    /// Build a set-up on this machine and print what was found
+    Setup(Setup),
+    /// Print the JSON Schema of set-up files
+    Schema,
+}
+
+/// Where logs go and how they look.
+#[derive(Debug, Args)]
+pub struct Telemetry {
+    /// Which log messages, as in `info` or `moldline=debug,tonic=warn`; they go to standard error
+    #[arg(long, global = true, env = "MOLDLINE_LOG", default_value = "info")]
+    pub log: String,
+    /// How they look
+    #[arg(long, global = true, env = "MOLDLINE_LOG_FORMAT", default_value = "text")]
+    pub log_format: LogFormat,
+}
+
+/// Looks of log messages.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum LogFormat {
+    /// For people
+    Text,
+    /// One JSON object a line
+    Json,
+}
+
+/// Options of `moldline serve`.
+#[derive(Debug, Args)]
+pub struct Serve {
+    /// Address to listen on; port 0 takes a free one. The address bound is the one line on standard output
+    #[arg(long, env = "MOLDLINE_LISTEN", default_value = "127.0.0.1:50051")]
+    pub listen: SocketAddr,
+    /// Listen on an address that other machines reach, although nobody is asked who they are
+    #[arg(long, env = "MOLDLINE_INSECURE_LISTEN")]
+    pub insecure_listen: bool,
+    /// Threads that compute; results do not depend on it [default: one a core]
+    #[arg(long, env = "MOLDLINE_THREADS")]
+    pub threads: Option<NonZeroUsize>,
+    /// Requests that compute at a time, sharing the threads [default: as many as threads]
+    #[arg(long, env = "MOLDLINE_RUNNING")]
+    pub running: Option<NonZeroUsize>,
+    /// Requests that wait for their turn; more are turned away
+    #[arg(long, env = "MOLDLINE_QUEUED", default_value_t = 64)]
+    pub queued: usize,
+    /// Largest message received, MiB
+    #[arg(long, env = "MOLDLINE_MAX_MESSAGE", default_value_t = 64, value_name = "MIB")]
+    pub max_message: usize,
+    /// Largest upload, MiB
+    #[arg(long, env = "MOLDLINE_MAX_UPLOAD", default_value_t = 256, value_name = "MIB")]
+    pub max_upload: u64,
+    /// Set-ups held in memory
+    #[arg(long, env = "MOLDLINE_MAX_SETUPS", default_value_t = 32)]
+    pub max_setups: usize,
+    /// Sessions open at a time
+    #[arg(long, env = "MOLDLINE_MAX_SESSIONS", default_value_t = 1000)]
+    pub max_sessions: usize,
+    /// Seconds between telling health probes that the end is near and closing the port; one probe interval
+    #[arg(long, env = "MOLDLINE_DRAIN_DELAY", default_value_t = 0.0, value_name = "SECONDS", value_parser = seconds)]
+    pub drain_delay: f64,
+    /// Seconds that running requests have to finish
+    #[arg(long, env = "MOLDLINE_DRAIN_TIMEOUT", default_value_t = 30.0, value_name = "SECONDS", value_parser = seconds)]
+    pub drain_timeout: f64,
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    let value: f64 = text.parse().map_err(|error| format!("{error}"))?;
+    Duration::try_from_secs_f64(value).map(|_| value).map_err(|error| error.to_string())
+}
+
+impl Serve {
+    /// The service's limits.
+    pub fn limits(&self) -> Limits {
+        Limits {
+            upload_bytes: self.max_upload.saturating_mul(1 << 20),
+            setups: self.max_setups,
+            sessions: self.max_sessions,
+            ..Limits::default()
+        }
+    }
+
+    /// The compute pool's size.
+    pub fn pool(&self) -> PoolLimits {
+        let threads = threads(self.threads);
+        let running = self.running.map_or(threads, NonZeroUsize::get);
+        PoolLimits { threads, running, queued: self.queued }
+    }
+}
+
+/// The number asked for, or one a core.
+pub fn threads(asked: Option<NonZeroUsize>) -> usize {
+    asked.or_else(|| std::thread::available_parallelism().ok()).map_or(1, NonZeroUsize::get)
+}
+
+/// Where a set-up is, for commands on local files.
+#[derive(Debug, Args)]
+pub struct Source {
+    /// Folder or archive (.tar, .tar.gz, .tgz, .zip) of the set-up
+    pub path: PathBuf,
+    /// The file in it that describes the set-up
+    #[arg(long, value_name = "NAME")]
+    pub setup_file: Option<String>,
+    /// Threads that compute; results do not depend on it [default: one a core]
+    #[arg(long, env = "MOLDLINE_THREADS")]
+    pub threads: Option<NonZeroUsize>,
+}
+
+/// Options of `moldline deform`.
+#[derive(Debug, Args)]
+pub struct Deform {
+    /// Where the set-up is.
+    #[command(flatten)]
+    pub source: Source,
+    /// Value of a design variable; those not named stay at their baseline
+    #[arg(long, value_name = "NAME=VALUE", value_parser = assignment, allow_hyphen_values = true)]
+    pub design: Vec<(String, f64)>,
+    /// The design as JSON: an object of names and values, or an array of all values in order
+    #[arg(long, value_name = "FILE", conflicts_with = "design")]
+    pub design_file: Option<PathBuf>,
+    /// VTU file to write
+    #[arg(long, short, value_name = "FILE")]
+    pub output: PathBuf,
+    /// JSON file to write design and quality to
+    #[arg(long, value_name = "FILE")]
+    pub report: Option<PathBuf>,
+}
+
+fn assignment(text: &str) -> Result<(String, f64), String> {
+    let (name, value) = text.split_once('=').ok_or("expected NAME=VALUE")?;
+    let value = value.trim().parse().map_err(|_| format!("`{value}` is not a number"))?;
+    Ok((name.trim().to_owned(), value))
+}
+
+/// Options of `moldline setup`.
+#[derive(Debug, Args)]
+pub struct Setup {
+    /// Where the set-up is.
+    #[command(flatten)]
+    pub source: Source,
+    /// Print the report as JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::CommandFactory;
+
+    use super::*;
+
+    #[test]
+    fn the_command_line_is_consistent() {
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn assignments_are_read_with_their_sign() {
+        assert_eq!(assignment("wing.translation=-5").unwrap(), ("wing.translation".to_owned(), -5.0));
+        assert_eq!(assignment("wing.twist[3] = 0.5").unwrap(), ("wing.twist[3]".to_owned(), 0.5));
+        assert!(assignment("wing.translation").is_err());
+        assert!(assignment("wing.translation=far").is_err());
+    }
+}

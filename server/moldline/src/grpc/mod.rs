@@ -1,0 +1,150 @@
+//! The gRPC transport: thin. What a message means is in `convert`, what an error becomes in `status`.
+
+mod convert;
+mod status;
+
+use std::{pin::Pin, sync::Arc};
+
+use moldline_proto::{FILE_DESCRIPTOR_SET, v1};
+use moldline_service::{Service, ServiceError, UploadHeader};
+use tokio::sync::mpsc;
+use tokio_stream::{Stream, wrappers::UnboundedReceiverStream};
+use tonic::{Request, Response, Status, Streaming, transport::server::Router};
+use tonic_health::server::HealthReporter;
+use v1::mesh_service_server::{MeshService, MeshServiceServer};
+
+use status::refuse;
+
+/// All gRPC services of the server: the meshes, health, and reflection in both its versions.
+pub async fn router(
+    service: Arc<Service>,
+    max_message: usize,
+) -> Result<(Router, Health), tonic_reflection::server::Error> {
+    let (reporter, health) = tonic_health::server::health_reporter();
+    reporter.set_serving::<MeshServiceServer<Grpc>>().await;
+    let reflection =
+        || tonic_reflection::server::Builder::configure().register_encoded_file_descriptor_set(FILE_DESCRIPTOR_SET)
+            .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET);
+    let meshes = MeshServiceServer::new(Grpc { service })
+        .max_decoding_message_size(max_message)
+        .max_encoding_message_size(usize::MAX);
+    let router = tonic::transport::Server::builder()
+        // A mesh goes up without waiting for acknowledgements.
+        .initial_stream_window_size(Some(4 << 20))
+        .initial_connection_window_size(Some(16 << 20))
+        // Clients that vanish without a word lose interest in what they asked for.
+        .http2_keepalive_interval(Some(std::time::Duration::from_secs(30)))
+        .add_service(meshes)
+        .add_service(health)
+        .add_service(reflection().build_v1()?)
+        .add_service(reflection().build_v1alpha()?);
+    Ok((router, Health(reporter)))
+}
+
+/// What health probes are told.
+pub struct Health(HealthReporter);
+
+impl Health {
+    /// Not serving any more, as a whole and the mesh service.
+    pub async fn end(&self) {
+        self.0.set_not_serving::<MeshServiceServer<Grpc>>().await;
+        self.0.set_service_status("", tonic_health::ServingStatus::NotServing).await;
+    }
+}
+
+/// The mesh service on the wire.
+pub struct Grpc {
+    service: Arc<Service>,
+}
+
+type Events = Pin<Box<dyn Stream<Item = Result<v1::CreateSetupResponse, Status>> + Send>>;
+
+#[tonic::async_trait]
+impl MeshService for Grpc {
+    type CreateSetupStream = Events;
+
+    async fn create_setup(
+        &self,
+        request: Request<Streaming<v1::CreateSetupRequest>>,
+    ) -> Result<Response<Events>, Status> {
+        let (sender, events) = mpsc::unbounded_channel();
+        let service = Arc::clone(&self.service);
+        tokio::spawn(async move {
+            let outcome = tokio::select! {
+                outcome = create_setup(&service, request.into_inner(), &sender) => outcome,
+                // The client has gone: the upload and the interest in the build go with this future.
+                () = sender.closed() => return,
+            };
+            let _ = sender.send(outcome);
+        });
+        Ok(Response::new(Box::pin(UnboundedReceiverStream::new(events))))
+    }
+
+    async fn get_setup(
+        &self,
+        request: Request<v1::GetSetupRequest>,
+    ) -> Result<Response<v1::GetSetupResponse>, Status> {
+        let request = request.into_inner();
+        let setup = self.service.setup(&request.setup_id).map_err(refuse)?;
+        let mesh = request.include_mesh.then(|| convert::mesh(&setup));
+        Ok(Response::new(v1::GetSetupResponse { setup: Some(convert::description(&setup)), mesh }))
+    }
+
+    async fn open_session(
+        &self,
+        request: Request<v1::OpenSessionRequest>,
+    ) -> Result<Response<v1::OpenSessionResponse>, Status> {
+        let v1::OpenSessionRequest { setup_id, request_id } = request.into_inner();
+        let session_id = self.service.open_session(&setup_id, &request_id).map_err(refuse)?;
+        Ok(Response::new(v1::OpenSessionResponse { session_id }))
+    }
+
+    async fn close_session(
+        &self,
+        request: Request<v1::CloseSessionRequest>,
+    ) -> Result<Response<v1::CloseSessionResponse>, Status> {
+        self.service.close_session(&request.into_inner().session_id).map_err(refuse)?;
+        Ok(Response::new(v1::CloseSessionResponse {}))
+    }
+
+    async fn deform(&self, request: Request<v1::DeformRequest>) -> Result<Response<v1::DeformResponse>, Status> {
+        let v1::DeformRequest { session_id, input, control_points, include_cell_quality } = request.into_inner();
+        let design = convert::design(input, control_points).map_err(refuse)?;
+        let deformed = self.service.deform(&session_id, design).await.map_err(refuse)?;
+        Ok(Response::new(convert::deformed(&deformed, include_cell_quality)))
+    }
+}
+
+/// Receives, builds, and tells about it. Events are few, so the channel need not be bounded.
+async fn create_setup(
+    service: &Service,
+    mut parts: Streaming<v1::CreateSetupRequest>,
+    events: &mpsc::UnboundedSender<Result<v1::CreateSetupResponse, Status>>,
+) -> Result<v1::CreateSetupResponse, Status> {
+    let tell = |progress| {
+        let _ = events.send(Ok(convert::progress(progress)));
+    };
+    let header = header(parts.message().await?).map_err(refuse)?;
+    let mut receiving = service.receive(header).map_err(refuse)?;
+    let mut told = 0.0;
+    tell(receiving.progress());
+    while let Some(part) = parts.message().await? {
+        let chunk = convert::chunk(part).map_err(refuse)?;
+        receiving.append(chunk.file as usize, &chunk.data).map_err(refuse)?;
+        let progress = receiving.progress();
+        if progress.fraction >= told + 0.01 {
+            told = progress.fraction;
+            tell(progress);
+        }
+    }
+    let uploaded = receiving.finish().map_err(refuse)?;
+    let created = service.create_setup(uploaded, tell).await.map_err(refuse)?;
+    Ok(convert::created(&created))
+}
+
+fn header(first: Option<v1::CreateSetupRequest>) -> Result<UploadHeader, ServiceError> {
+    match first {
+        Some(part) => convert::header(part),
+        None => Err(ServiceError::invalid("header", "is missing: nothing was sent")),
+    }
+}

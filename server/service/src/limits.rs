@@ -1,0 +1,45 @@
+//! What one caller may ask for, and what the service holds. All are checked before anything is allocated.
+
+/// Upper limits; the defaults suit a workstation.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Limits {
+    /// Bytes of one upload.
+    pub upload_bytes: u64,
+    /// Files of one upload.
+    pub upload_files: usize,
+    /// Uploads at a time.
+    pub uploads: usize,
+    /// Bytes of one chunk.
+    pub chunk_bytes: usize,
+    /// Bytes of a path.
+    pub path_bytes: usize,
+    /// Bytes of a request id.
+    pub request_id_bytes: usize,
+    /// Bytes that an archive may unpack to.
+    pub unpacked_bytes: u64,
+    /// Vertices of a mesh, and its cells.
+    pub mesh: moldline_mesh::Limits,
+    /// Set-ups in memory.
+    pub setups: usize,
+    /// Sessions open.
+    pub sessions: usize,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        const MIB: u64 = 1 << 20;
+        Self {
+            upload_bytes: 256 * MIB,
+            upload_files: 1000,
+            uploads: 8,
+            chunk_bytes: 1 << 20,
+            path_bytes: 1024,
+            request_id_bytes: 128,
+            unpacked_bytes: 512 * MIB,
+            // One response carries the vertices: 64 MiB is 2.7 million of them.
+            mesh: moldline_mesh::Limits { vertices: 2_000_000, cells: 2_000_000, ..Default::default() },
+            setups: 32,
+            sessions: 1000,
+        }
+    }
+}

@@ -1,0 +1,99 @@
+//! Set-ups in memory, by the hash of their content.
+
+use std::{
+    fmt,
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    time::Duration,
+};
+
+use moldline_deform::Setup;
+
+use crate::error::{Code, ServiceError};
+
+/// Name of a set-up: the hash of its content in hexadecimal digits.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct SetupId(String);
+
+impl SetupId {
+    /// The name of what `hash` is the digest of.
+    pub fn new(hash: blake3::Hash) -> Self {
+        Self(hash.to_hex().to_string())
+    }
+
+    /// The digits.
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
+}
+
+impl fmt::Display for SetupId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+/// A set-up that is built.
+#[derive(Debug)]
+pub struct StoredSetup {
+    /// Its name.
+    pub id: SetupId,
+    /// The user's title of it.
+    pub name: String,
+    /// What the engine made of it.
+    pub engine: Setup,
+    /// How long the engine took.
+    pub build_time: Duration,
+}
+
+/// All set-ups in memory, at most a given number.
+#[derive(Debug)]
+pub struct Setups {
+    /// Least recently used first.
+    known: Mutex<Vec<Arc<StoredSetup>>>,
+    capacity: usize,
+}
+
+impl Setups {
+    /// Keeps up to `capacity` set-ups.
+    pub fn new(capacity: usize) -> Self {
+        Self { known: Mutex::default(), capacity }
+    }
+
+    /// The set-up of that name.
+    pub fn get(&self, id: &str) -> Option<Arc<StoredSetup>> {
+        let mut known = self.lock();
+        let position = known.iter().position(|setup| setup.id.as_str() == id)?;
+        let setup = known.remove(position);
+        known.push(Arc::clone(&setup));
+        Some(setup)
+    }
+
+    /// Makes room for one more by dropping the least recently used one that no session uses.
+    ///
+    /// # Errors
+    /// `ResourceExhausted` if all are in use.
+    pub fn make_room(&self) -> Result<(), ServiceError> {
+        let mut known = self.lock();
+        while known.len() >= self.capacity {
+            // A use can only begin through `get`, which waits for the lock.
+            let Some(idle) = known.iter().position(|setup| Arc::strong_count(setup) == 1) else {
+                return Err(ServiceError::new(
+                    Code::ResourceExhausted,
+                    format!("{} set-ups are in use, which is the limit; close sessions", known.len()),
+                ));
+            };
+            let dropped = known.remove(idle);
+            tracing::info!(setup = %dropped.id, "dropped a set-up that no session uses");
+        }
+        Ok(())
+    }
+
+    /// Adds a set-up.
+    pub fn insert(&self, setup: Arc<StoredSetup>) {
+        self.lock().push(setup);
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Vec<Arc<StoredSetup>>> {
+        self.known.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
