@@ -44,7 +44,7 @@ fn cube(n: u32, keep: impl Fn([f64; 3]) -> bool) -> SurfaceMesh {
             }
         }
     }
-    SurfaceMesh::new(vertices, cells, vec![], vec![]).unwrap()
+    SurfaceMesh::new(vertices, cells, vec![], vec![]).expect("a valid mesh")
 }
 
 /// A flat grid of `n` by `n` squares of side `1 / n`, cells upwards.
@@ -56,7 +56,7 @@ fn plate(n: u32) -> SurfaceMesh {
         Cell::quad(a, a + n + 1, a + n + 2, a + 1)
     };
     let cells = (0..n).flat_map(|i| (0..n).map(move |j| quad(i, j))).collect();
-    SurfaceMesh::new(vertices, cells, vec![], vec![]).unwrap()
+    SurfaceMesh::new(vertices, cells, vec![], vec![]).expect("a valid mesh")
 }
 
 #[test]

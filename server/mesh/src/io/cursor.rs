@@ -28,9 +28,13 @@ impl<'a> Cursor<'a> {
         &self.bytes[self.position..]
     }
 
-    /// Where the next byte is; lines are counted only once something is wrong.
+    /// Where the next byte or word is; lines are counted only once something is wrong.
     pub(super) fn place(&self) -> Place {
-        self.place_of(self.position)
+        let space = match self.coding {
+            Coding::Ascii => self.rest().iter().take_while(|byte| byte.is_ascii_whitespace()).count(),
+            _ => 0,
+        };
+        self.place_of(self.position + space)
     }
 
     fn place_of(&self, position: usize) -> Place {
