@@ -16,8 +16,9 @@ pub const DEGENERATE: f64 = 1e30;
 /// The measures of one cell. A cell with a coordinate that is not finite gets the worst values.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CellQuality {
-    /// Verdict: longest edge * perimeter / (4 area) of a quadrilateral, whose area is that of the triangles at its second
-    /// and fourth vertex; longest edge * perimeter / (4 sqrt(3) area) of a triangle. 1 is best.
+    /// Verdict: longest edge * perimeter / (4 area) of a quadrilateral, whose area is that of its area vector (Newell; the
+    /// mean of its signed corner areas, as VTK 9.7 has it); longest edge * perimeter / (4 sqrt(3) area) of a triangle. 1
+    /// is best.
     pub aspect_ratio: f64,
     /// Longest over shortest edge.
     pub edge_ratio: f64,
@@ -71,10 +72,8 @@ impl CellQuality {
             [a, b, c, d] => {
                 let x = [at(a), at(b), at(c), at(d)];
                 let area_vector = (x[2] - x[0]).cross(&(x[3] - x[1]));
-                let at_second = (x[1] - x[0]).cross(&(x[2] - x[1])).norm();
-                let at_fourth = (x[3] - x[2]).cross(&(x[0] - x[3])).norm();
-                // longest * perimeter / (4 area), the area being half of their sum
-                Self::of_polygon(&x, normal, &area_vector, 2.0 * (at_second + at_fourth), 1.0, 90.0)
+                // longest * perimeter / (4 area), the area vector being twice as long as the area
+                Self::of_polygon(&x, normal, &area_vector, 2.0 * area_vector.norm(), 1.0, 90.0)
             }
             _ => Self::WORST,
         }

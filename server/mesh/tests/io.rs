@@ -46,8 +46,11 @@ fn names(groups: &[Group]) -> BTreeSet<&str> {
 /// numbering does not matter.
 fn cells_by_position(mesh: &SurfaceMesh) -> Vec<Vec<[i64; 3]>> {
     let corners = |cell: &Cell| {
-        let mut corners: Vec<[i64; 3]> =
-            cell.vertices().iter().map(|&v| mesh.vertices[v as usize].map(|x| (x * 1e12).round() as i64)).collect();
+        let mut corners: Vec<[i64; 3]> = cell
+            .vertices()
+            .iter()
+            .map(|&v| mesh.vertices[v as usize].map(|x| (x * 1e12).round() as i64))
+            .collect();
         let least = (0..corners.len()).min_by_key(|&k| corners[k]).unwrap();
         corners.rotate_left(least);
         corners
