@@ -35,7 +35,7 @@ pub(crate) const TWIST: usize = 5;
 pub(crate) const CAMBER: usize = 6;
 
 /// A design variable's linear effect on one slot.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Influence {
     pub(crate) slot: usize,
     pub(crate) variable: usize,
@@ -44,7 +44,7 @@ pub(crate) struct Influence {
     pub(crate) weight: f64,
 }
 
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct FreeForm {
     axes: Axes,
     volume: Volume,

@@ -24,6 +24,7 @@
 //! Absent on purpose: files, serialisation, surfaces' derivatives, weights as variables (they never change).
 
 mod channel;
+mod compile;
 mod declaration;
 mod error;
 mod freeform;

@@ -12,7 +12,7 @@ use moldline_spline::Vector3;
 
 use crate::{channel::Relative, parameterisation::shift};
 
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Planform {
     pub(crate) targets: Vec<PlanformTarget>,
     /// Index of P among the points; not a target.
@@ -23,7 +23,7 @@ pub(crate) struct Planform {
     pub(crate) aspect_ratio: Option<Relative>,
 }
 
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct PlanformTarget {
     pub(crate) point: usize,
     /// o; its component along the span is zero.

@@ -6,13 +6,13 @@ use moldline_spline::Vector3;
 
 use crate::{channel::Relative, parameterisation::shift};
 
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct RadialScale {
     pub(crate) targets: Vec<RadialTarget>,
     pub(crate) ratio: Relative,
 }
 
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct RadialTarget {
     pub(crate) point: usize,
     /// Index of c among the points; never a target itself.

@@ -6,7 +6,7 @@ use nalgebra::Matrix3;
 
 use crate::{channel::Additive, parameterisation::shift};
 
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Rotation {
     pub(crate) targets: Vec<usize>,
     /// Unit vector.

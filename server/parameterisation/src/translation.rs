@@ -4,7 +4,7 @@ use moldline_spline::Vector3;
 
 use crate::{channel::Additive, parameterisation::shift};
 
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct Translation {
     pub(crate) targets: Vec<usize>,
     pub(crate) direction: Vector3,
