@@ -178,6 +178,11 @@ impl Body {
     /// The local minimum of the distance that descent from `hint` leads to. It walks over patch edges and stays on the
     /// hint's sheet of a thin body. `None` if it does not converge.
     pub fn closest_point_near(&self, x: &Vector3, hint: &Location) -> Option<FootPoint> {
+        self.descend(x, hint).map(|l| self.foot_point(x, &l))
+    }
+
+    /// Descends to a local minimum of the distance, over patch edges.
+    pub(crate) fn descend(&self, x: &Vector3, hint: &Location) -> Option<Location> {
         let size = self.size();
         let patches = self.component.patches();
         let mut l = *hint;
@@ -206,7 +211,7 @@ impl Body {
                 }
             }
             if s.length <= NO_STEP * size {
-                return Some(self.foot_point(x, &l));
+                return Some(l);
             }
             let last = s.newton && s.length <= LAST_STEP * size;
             let mut scale = 1.0;
@@ -217,12 +222,12 @@ impl Body {
                     v: (l.v + scale * s.dv).clamp(domain[1].0, domain[1].1),
                 };
                 if last {
-                    return Some(self.foot_point(x, &trial));
+                    return Some(trial);
                 }
                 let trial_jet = self.jet(&trial);
                 let trial_r = trial_jet.position - x;
                 let trial_squared = trial_r.norm_squared();
-                if trial_squared < squared {
+                if newton::is_progress(&s, trial_squared, squared, size) {
                     (l, jet, r, squared) = (trial, trial_jet, trial_r, trial_squared);
                     break;
                 }
@@ -230,7 +235,7 @@ impl Body {
                 if scale < 1e-5 {
                     // No descent although the step is not negligible: rounding if the step is small, else failure.
                     let small = s.length <= 1e-7 * size;
-                    return small.then(|| self.foot_point(x, &l));
+                    return small.then_some(l);
                 }
             }
         }
@@ -409,7 +414,8 @@ impl Body {
         } else {
             let n = sum / norm;
             let along = n.dot(&d);
-            let square_on = along.abs() >= (1.0 - 1e-9) * length || length <= 1e-10 * self.size();
+            // Close to the surface the normal component is the more accurate one.
+            let square_on = length - along.abs() <= 1e-13 * self.size();
             (n, if feature == Feature::Face && square_on { along } else { length.copysign(along) })
         };
         FootPoint { location: l, feature, position, normal, distance }

@@ -9,6 +9,7 @@
 //!
 //! Absent on purpose: meshes, files, and the parameterisation that moves control points.
 
+mod bezier;
 mod body;
 mod bounds;
 mod component;

@@ -93,16 +93,14 @@ pub(crate) fn step(jet: &SurfaceJet, r: &Vector3, u: f64, v: f64, [ru, rv]: Rect
     Step { du, dv, held: [held_u, held_v], newton, length }
 }
 
-/// A local minimum of the distance within a rectangle.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Minimum {
-    pub u: f64,
-    pub v: f64,
-    /// Square of the distance.
-    pub squared: f64,
+/// Whether a step is acceptable: it decreases the squared distance, or it is a Newton step so short that the decrease is
+/// lost in rounding.
+#[inline]
+pub(crate) fn is_progress(step: &Step, squared: f64, before: f64, size: f64) -> bool {
+    squared < before || (step.newton && step.length <= 1e-6 * size && squared <= before * (1.0 + 1e-14))
 }
 
-/// Descends from `(u, v)` to a minimum within a rectangle. If `f` is known to be convex there, it gives up (`None`) as
+/// Descends from `(u, v)` to the parameters of a minimum within a rectangle. If `f` is known to be convex there, it gives up (`None`) as
 /// soon as the tangent plane of `f` shows that nothing in the rectangle is closer than the square root of `bound`.
 pub(crate) fn in_rectangle(
     surface: &Surface,
@@ -112,7 +110,7 @@ pub(crate) fn in_rectangle(
     (mut u, mut v): (f64, f64),
     size: f64,
     convex_bound: Option<f64>,
-) -> Option<Minimum> {
+) -> Option<(f64, f64)> {
     let [ru, rv] = rectangle;
     let mut jet = surface.jet(control_points, u, v);
     let mut r = jet.position - x;
@@ -137,7 +135,7 @@ pub(crate) fn in_rectangle(
             let trial = surface.jet(control_points, nu, nv);
             let trial_r = trial.position - x;
             let trial_squared = trial_r.norm_squared();
-            if trial_squared < squared || last {
+            if last || is_progress(&s, trial_squared, squared, size) {
                 (u, v, jet, r, squared) = (nu, nv, trial, trial_r, trial_squared);
                 break true;
             }
@@ -150,7 +148,7 @@ pub(crate) fn in_rectangle(
             break;
         }
     }
-    Some(Minimum { u, v, squared })
+    Some((u, v))
 }
 
 /// The foot point along a side of a patch within a range of its parameter: parameter and distance.
@@ -172,20 +170,25 @@ pub(crate) fn on_side(
     let mut t = start.clamp(range.0, range.1);
     let (mut r, mut d, mut dd) = at(t);
     for _ in 0..60 {
-        let g = d.dot(&r);
-        if d.norm_squared() == 0.0 {
+        let gauss = d.norm_squared();
+        if gauss == 0.0 {
             break;
         }
-        let h = d.norm_squared() + dd.dot(&r);
-        let dt = -g / if h > 1e-8 * d.norm_squared() { h } else { d.norm_squared() };
+        let hessian = gauss + dd.dot(&r);
+        let newton = hessian > 1e-8 * gauss;
+        let dt = -d.dot(&r) / if newton { hessian } else { gauss };
         let dt = (t + dt).clamp(range.0, range.1) - t;
-        if dt.abs() <= 1e-16 * (range.1 - range.0) {
+        let relative = dt.abs() / (range.1 - range.0);
+        if relative <= 1e-16 {
             break;
         }
+        // The last step of a quadratic iteration is taken whatever rounding does to the distance.
+        let last = newton && relative <= LAST_STEP;
+        let tolerance = if newton && relative <= 1e-6 { 1.0 + 1e-14 } else { 1.0 };
         let mut scale = 1.0;
         let accepted = loop {
             let next = at(t + scale * dt);
-            if next.0.norm_squared() < r.norm_squared() {
+            if last || next.0.norm_squared() < tolerance * r.norm_squared() {
                 t += scale * dt;
                 (r, d, dd) = next;
                 break true;
@@ -195,7 +198,7 @@ pub(crate) fn on_side(
                 break false;
             }
         };
-        if !accepted {
+        if last || !accepted {
             break;
         }
     }
