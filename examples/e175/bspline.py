@@ -268,9 +268,9 @@ class Component:
     name: str
     patches: list[Patch]
 
-    def closest(self, points, within=np.inf) -> Foot:
+    def closest(self, points, within=np.inf, starts=3) -> Foot:
         """Closest points over all patches."""
-        feet = [patch.closest(points, within) for patch in self.patches]
+        feet = [patch.closest(points, within, starts) for patch in self.patches]
         winner = np.argmin([f.distance for f in feet], axis=0)
         pick = lambda field: np.choose(winner if np.ndim(getattr(feet[0], field)) == 1 else winner[:, None], [getattr(f, field) for f in feet])
         return Foot(pick("distance"), winner, pick("u"), pick("v"), pick("position"))

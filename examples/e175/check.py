@@ -158,13 +158,13 @@ def distances(components, mesh: Mesh):
     worst = np.zeros(len(mesh.vertices))
     for k, component in enumerate(components):
         rows = np.flatnonzero(uses[k])
-        foot = component.closest(mesh.vertices[rows])
+        foot = component.closest(mesh.vertices[rows], within=1.0, starts=2)
         worst[rows] = np.maximum(worst[rows], foot.distance)
         report[component.name] = float(foot.distance.max())
         cells = mesh.cells[mesh.owner == k]
         normal = quality.area_normal(mesh.vertices, cells)
         centre = mesh.vertices[cells].mean(1)
-        foot = component.closest(centre)
+        foot = component.closest(centre, within=1.0, starts=1)
         surface = np.zeros_like(normal)
         for p, patch in enumerate(component.patches):
             mine = foot.patch == p

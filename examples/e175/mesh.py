@@ -42,7 +42,7 @@ class Counts:
     def scaled(factor):
         """The counts of the 15,000-cell mesh times a factor."""
         times = lambda n: max(1, round(n * factor))
-        return Counts(4 * times(5), times(2), times(42), times(42), times(26), times(18), times(86), times(17), times(35))
+        return Counts(4 * times(5), times(1), times(42), times(42), times(26), times(18), times(86), times(17), times(35))
 
     @property
     def wing_line(self):
@@ -127,7 +127,7 @@ class LiftingSurface:
     """Chordwise stations of a wing: 0 at the lower trailing edge, `chord` at the leading edge, 2 chord at the upper one."""
 
     # relative cell sizes along the section against arc length from trailing (0) to leading edge (1)
-    SIZES = ((0, 0.8), (0.15, 1.0), (0.5, 1.1), (0.8, 1.0), (1, 0.65))
+    SIZES = ((0, 0.8), (0.15, 1.0), (0.5, 1.1), (0.8, 1.0), (1, 0.7))
 
     def __init__(self, component: Component, chord: int):
         self.component, self.chord = component, chord

@@ -2,7 +2,7 @@
 
 Each corner of a quad with edge vectors e1, e2 and target lengths l1, l2 (only their ratio counts) is measured by
 m = (|e1|^2/l1^2 + |e2|^2/l2^2) l1 l2 / (2 n.(e1 x e2)), the inverse mean ratio of the map from the target corner: 1 for the
-target shape, infinite for a flat one. The sum of m^2 is minimised by L-BFGS over moves in the vertices' tangent planes,
+target shape, infinite for a flat one. The sum of m^3 is minimised by L-BFGS over moves in the vertices' tangent planes,
 followed by projection, a few times over.
 """
 
@@ -11,7 +11,8 @@ from scipy.optimize import minimize
 
 import quality
 
-POWER = 2
+POWER = 3
+SMALLEST_GAIN = 2e-4  # of the mean measure in one round; less than that ends the optimisation
 OFF_POLE = 1e-6  # in u: where the normal of a pole is taken
 
 
@@ -49,6 +50,7 @@ def optimise(patch, u, v, cells, target, fixed, on_meridian, rounds, steps=25, l
     u, v = u.copy(), v.copy()
     u0, u1, _, _ = patch.domain
     free = ~fixed
+    mean = np.inf
     for round_ in range(rounds):
         jet = patch.jet(u, v)
         x, normal = jet.position, patch.jet(np.clip(u, u0 + OFF_POLE, u1 - OFF_POLE), v).unit_normal()
@@ -69,6 +71,9 @@ def optimise(patch, u, v, cells, target, fixed, on_meridian, rounds, steps=25, l
         new_u, new_v, _ = patch.refine(moved[free], u[free], v[free])
         u[free] = new_u
         v[free] = np.where(on_meridian[free], v[free], new_v)
+        before, mean = mean, (result.fun / (4 * len(cells))) ** (1 / POWER)
         if log:
-            log(f"optimise {round_}: mean measure {(result.fun / (4 * len(cells))) ** (1 / POWER):.4f}, largest move {np.abs(result.x).max():.3f} m")
+            log(f"optimise {round_}: mean measure {mean:.4f}, largest move {np.abs(result.x).max():.3f} m")
+        if before - mean < SMALLEST_GAIN:
+            break
     return u, v
