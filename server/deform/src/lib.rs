@@ -1,1 +1,35 @@
-//! deform
+//! The engine: a conforming surface mesh that follows its aircraft (Algorithm 1 of the paper).
+//!
+//! [`Setup::build`] finds once all that does not change with the design: which component each vertex lies on and where
+//! ([`ownership`]), the seams and how they are searched ([`seam`]), the training vertices ([`training`]) and the
+//! factorised displacement fields ([`field`], [`rbf`]). [`Setup::deform`] maps a design to the vertices of the mesh.
+//!
+//! Parallel loops run on rayon's current pool. Results are the same to the last bit whatever its size: every value
+//! is computed by one task in one fixed order.
+//!
+//! Absent on purpose: files, serialisation, sessions, clocks.
+
+mod error;
+pub mod field;
+pub mod inspection;
+mod monitor;
+mod options;
+pub mod ownership;
+mod pipeline;
+pub mod projection;
+pub mod rbf;
+mod report;
+pub mod seam;
+mod seam_setup;
+mod setup;
+pub mod training;
+
+pub use error::{DeformError, SetupError, VertexDistance};
+pub use moldline_geometry::Location;
+pub use monitor::{Monitor, Silent, Stage};
+pub use options::{Options, OuterMoldLine, Propagation, SeamOptions, SmoothingOptions};
+pub use pipeline::Deformation;
+pub use rbf::Kernel;
+pub use report::{ComponentSummary, FieldSummary, ProtectedSummary, SetupReport, Symmetry};
+pub use seam_setup::SeamSummary;
+pub use setup::{Setup, SetupInput};

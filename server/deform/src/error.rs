@@ -1,0 +1,215 @@
+//! Why a set-up is refused or a deformation fails: what, where, and what to do.
+
+use moldline_geometry::ComponentError;
+use moldline_mesh::MeshError;
+use moldline_parameterisation::{DesignError, ParameterisationError};
+use thiserror::Error;
+
+/// How many offenders an error lists by index.
+pub const LISTED: usize = 20;
+
+/// A vertex with a length that offends.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct VertexDistance {
+    /// Index of the vertex.
+    pub vertex: u32,
+    /// Metres.
+    pub distance: f64,
+}
+
+fn list(offenders: &[VertexDistance]) -> String {
+    offenders
+        .iter()
+        .map(|o| format!("vertices[{}]: {:.3e} m", o.vertex, o.distance))
+        .collect::<Vec<_>>()
+        .join(", ")
+}
+
+/// Why a set-up is refused.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum SetupError {
+    /// An option is out of its range.
+    #[error("options.{field} = {value} is outside {low}..={high}")]
+    Option {
+        /// Path of the field.
+        field: String,
+        /// The value given.
+        value: f64,
+        /// Least value allowed.
+        low: f64,
+        /// Largest value allowed.
+        high: f64,
+    },
+    /// An option names something that is not there.
+    #[error("options.{field} names `{name}`, which the set-up does not have; it has {known:?}")]
+    UnknownName {
+        /// Path of the field.
+        field: String,
+        /// The name given.
+        name: String,
+        /// The names there are.
+        known: Vec<String>,
+    },
+    /// No component at all, or two of one name.
+    #[error("components: {0}")]
+    Components(String),
+    /// A component is not a valid surface.
+    #[error("components[{index}] (`{name}`): {source}")]
+    Component {
+        /// Index of the component.
+        index: usize,
+        /// Its name.
+        name: String,
+        /// What is wrong with it.
+        source: ComponentError,
+    },
+    /// The mesh is not valid.
+    #[error("mesh: {0}")]
+    Mesh(#[from] MeshError),
+    /// The parameterisation is not valid.
+    #[error("parameterisation: {0}")]
+    Parameterisation(#[from] ParameterisationError),
+    /// The mesh has holes.
+    #[error(
+        "mesh: {count} edges have a cell on one side only, the first joins vertices {first:?} at {position:?}; close \
+         the mesh, or set `open_mesh = true`"
+    )]
+    OpenMesh {
+        /// How many edges.
+        count: usize,
+        /// The first one's vertices.
+        first: [u32; 2],
+        /// Where it is, m.
+        position: [f64; 3],
+    },
+    /// More than two cells meet at an edge.
+    #[error("mesh: {count} edges have more than two cells, the first joins vertices {first:?}")]
+    NonManifold {
+        /// How many edges.
+        count: usize,
+        /// The first one's vertices.
+        first: [u32; 2],
+    },
+    /// Vertices that lie on no component.
+    #[error(
+        "mesh: {count} vertices are farther than {tolerance:.3e} m from every component: {}{}; put the mesh \
+         on the components, or raise `surface_tolerance`",
+        list(worst), if *count > worst.len() { ", ..." } else { "" }
+    )]
+    OffSurface {
+        /// How many vertices.
+        count: usize,
+        /// The tolerance, m.
+        tolerance: f64,
+        /// The farthest ones, farthest first.
+        worst: Vec<VertexDistance>,
+    },
+    /// Cells whose vertices have no component in common.
+    #[error(
+        "mesh: {count} cells have vertices on different components with no common one (no row of vertices follows the \
+         seam there), the first are {first:?}; remesh so that edges follow the seams"
+    )]
+    CellAcrossSeam {
+        /// How many cells.
+        count: usize,
+        /// Indices of the first few.
+        first: Vec<u32>,
+    },
+    /// A component owns no cell.
+    #[error("components[{index}] (`{name}`) has no cell of the mesh on it; remove the component or mend the mesh")]
+    UnusedComponent {
+        /// Index of the component.
+        index: usize,
+        /// Its name.
+        name: String,
+    },
+    /// The mesh is not symmetric though the options say so.
+    #[error("options.symmetric = true, but {0}")]
+    NotSymmetric(String),
+    /// A seam vertex for which no search line crosses the other component.
+    #[error(
+        "mesh: seam vertex {vertex} on `{reference}` and `{target}`: no parametric line of either component crosses \
+         the other (best transversality {transversality:.1e}); the components touch without crossing there"
+    )]
+    TangentSeam {
+        /// Index of the vertex.
+        vertex: u32,
+        /// One component.
+        reference: String,
+        /// The other.
+        target: String,
+        /// |n . S_a| / |S_a| of the best line.
+        transversality: f64,
+    },
+    /// The seam search does not reproduce the reference mesh.
+    #[error("the reference seams cannot be reproduced: {0}")]
+    ReferenceSeam(Box<DeformError>),
+    /// The radial basis system cannot be factorised.
+    #[error("radial basis functions of {field}: {reason}")]
+    Factorisation {
+        /// Which field.
+        field: String,
+        /// What is wrong.
+        reason: String,
+    },
+    /// The caller lost interest.
+    #[error("cancelled")]
+    Cancelled,
+}
+
+/// Why a deformation fails.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum DeformError {
+    /// The design is not acceptable.
+    #[error(transparent)]
+    Design(#[from] DesignError),
+    /// Control points given from outside do not fit the set-up.
+    #[error("{0}")]
+    ControlPoints(String),
+    /// Seam vertices without a root on their line.
+    #[error(
+        "the seam of `{reference}` with `{target}` left its brackets at {count} vertices ({}{}); the lines are \
+         followed to the end of the component, so the components no longer cross there: take a smaller step, or \
+         set up again from a mesh of this shape", list(worst), if *count > worst.len() { ", ..." } else { "" }
+    )]
+    SeamLost {
+        /// Component that is followed.
+        reference: String,
+        /// Component that is to be met.
+        target: String,
+        /// How many vertices.
+        count: usize,
+        /// The first ones, with their distance to the target where the search ended.
+        worst: Vec<VertexDistance>,
+    },
+    /// The projection did not converge.
+    #[error(
+        "the projection onto the smooth outer mold line left {count} vertices off it after {steps} steps ({}{}); \
+         reduce the fillet, take a smaller step, or raise `projection_steps`",
+        list(worst), if *count > worst.len() { ", ..." } else { "" }
+    )]
+    NotProjected {
+        /// How many vertices.
+        count: usize,
+        /// Steps taken.
+        steps: usize,
+        /// The worst ones with |Phi|.
+        worst: Vec<VertexDistance>,
+    },
+    /// A vertex lost its component's surface.
+    #[error(
+        "{count} vertices of `{component}` could not be put back onto it ({}{}); take a smaller step", list(worst),
+        if *count > worst.len() { ", ..." } else { "" }
+    )]
+    FootPoint {
+        /// The component.
+        component: String,
+        /// How many vertices.
+        count: usize,
+        /// The first ones, with their last distance.
+        worst: Vec<VertexDistance>,
+    },
+    /// The caller lost interest.
+    #[error("cancelled")]
+    Cancelled,
+}

@@ -1,0 +1,85 @@
+//! The displacement field (sec. III.E of the paper, eq. 16 and 17): training data from the seams, radial basis functions
+//! through them, values at all vertices of a region.
+
+use moldline_mesh::Plane;
+use moldline_spline::Vector3;
+
+use crate::{
+    rbf::{Kernel, RadialBasis, RbfError},
+    training::TrainingVertex,
+};
+
+/// A field over one region of the mesh.
+#[derive(Clone, Debug)]
+pub struct Field {
+    training: Vec<TrainingVertex>,
+    /// Training vertices whose mirror images are centres too: those of a half model that are off its plane.
+    images: Vec<u32>,
+    basis: RadialBasis,
+}
+
+impl Field {
+    /// Factorises the system of a training set. `reference` are the positions of all vertices of the mesh, m. With
+    /// `half_model` the field is that of the whole, mirrored configuration.
+    ///
+    /// # Errors
+    /// [`RbfError`] if the training vertices coincide or lie in one plane.
+    pub fn new(
+        training: Vec<TrainingVertex>,
+        reference: &[Vector3],
+        kernel: Kernel,
+        regularisation: f64,
+        half_model: Option<&Plane>,
+        plane_tolerance: f64,
+    ) -> Result<Self, RbfError> {
+        let at = |t: &TrainingVertex| reference[t.vertex as usize];
+        let mut centres: Vec<Vector3> = training.iter().map(at).collect();
+        let mut images = Vec::new();
+        if let Some(plane) = half_model {
+            for (i, t) in (0u32..).zip(&training) {
+                let x: [f64; 3] = at(t).into();
+                if plane.signed_distance(&x).abs() > plane_tolerance {
+                    images.push(i);
+                    centres.push(Vector3::from(plane.mirror(&x)));
+                }
+            }
+        }
+        Ok(Self { basis: RadialBasis::new(kernel, &centres, regularisation)?, training, images })
+    }
+
+    /// The training vertices.
+    pub fn training(&self) -> &[TrainingVertex] {
+        &self.training
+    }
+
+    /// Bytes held by the factorisation.
+    pub fn bytes(&self) -> usize {
+        self.basis.bytes()
+    }
+
+    /// Field values at `points`. The datum of training vertex `i` is (eq. 15)
+    /// `(1 - alpha_i) component_motion(vertex_i) + sum_k weight_ik seam_motion[k]`, in metres.
+    pub fn eval(
+        &self,
+        seam_motion: &[Vector3],
+        component_motion: impl Fn(u32) -> Vector3,
+        points: &[Vector3],
+        out: &mut [Vector3],
+    ) {
+        let mut data: Vec<Vector3> = self
+            .training
+            .iter()
+            .map(|t| {
+                let seams: Vector3 = t.seams.iter().map(|&(k, weight)| seam_motion[k as usize] * weight).sum();
+                let alpha = t.alpha();
+                if alpha == 1.0 { seams } else { component_motion(t.vertex) * (1.0 - alpha) + seams }
+            })
+            .collect();
+        // Half models are symmetric about y = 0.
+        for &i in &self.images {
+            let d = data[i as usize];
+            data.push(Vector3::new(d.x, -d.y, d.z));
+        }
+        self.basis.evaluate(&self.basis.fit(&data), points, out);
+    }
+}

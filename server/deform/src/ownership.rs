@@ -1,0 +1,239 @@
+//! Which component each vertex and cell lies on, where, and what the vertex may do there. Found by projection alone.
+
+use moldline_geometry::{Body, Feature, Location};
+use moldline_mesh::{Cell, Topology};
+use moldline_spline::Vector3;
+use rayon::prelude::*;
+
+use crate::{
+    Monitor, SetupError, Stage,
+    error::{LISTED, VertexDistance},
+};
+
+/// Parameters this near the side of a patch (relative to its range) are on it.
+const ON_SIDE: f64 = 1e-9;
+/// Vertices handled between two looks at the monitor.
+const CHUNK: usize = 2048;
+
+/// What the constraints leave to a vertex.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Freedom {
+    /// Moves over its component's surface.
+    Surface,
+    /// Slides along a sharp edge of its component.
+    Edge(u32),
+    /// Follows its component at fixed parameters: corners, poles, protected groups.
+    Fixed,
+}
+
+/// A vertex on one component.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Attachment {
+    /// Index of the component.
+    pub component: u32,
+    /// Parameters of the vertex there.
+    pub location: Location,
+    /// What it may do.
+    pub freedom: Freedom,
+    /// Distance of the mesh's vertex as given, m.
+    pub distance: f64,
+}
+
+/// The attachments of all vertices and the owners of all cells.
+#[derive(Clone, Debug)]
+pub struct Ownership {
+    /// Attachments of vertex `v`: `attachments[offsets[v]..offsets[v + 1]]`, by component; more than one on a seam.
+    offsets: Vec<u32>,
+    attachments: Vec<Attachment>,
+    /// Owner of each cell.
+    pub cell_owner: Vec<u32>,
+}
+
+impl Ownership {
+    /// The attachments of a vertex: at least one, several on a seam.
+    pub fn of(&self, vertex: u32) -> &[Attachment] {
+        let v = vertex as usize;
+        &self.attachments[self.offsets[v] as usize..self.offsets[v + 1] as usize]
+    }
+
+    /// The attachment of a vertex to a component, if it lies on it.
+    pub fn on(&self, vertex: u32, component: u32) -> Option<&Attachment> {
+        self.of(vertex).iter().find(|a| a.component == component)
+    }
+
+    /// Whether a vertex lies on several components.
+    pub fn is_seam(&self, vertex: u32) -> bool {
+        self.of(vertex).len() > 1
+    }
+
+    /// Number of vertices.
+    pub fn vertex_count(&self) -> usize {
+        self.offsets.len() - 1
+    }
+
+    /// Holds the attachments of a vertex where they are.
+    pub fn fix(&mut self, vertex: u32) {
+        let v = vertex as usize;
+        let range = self.offsets[v] as usize..self.offsets[v + 1] as usize;
+        self.attachments[range].iter_mut().for_each(|a| a.freedom = Freedom::Fixed);
+    }
+
+    /// Projects all vertices on all components.
+    ///
+    /// `tolerance`: m, within which a vertex lies on a component.
+    ///
+    /// # Errors
+    /// Vertices off every component, cells across a seam, components without cells.
+    pub fn find(
+        vertices: &[[f64; 3]],
+        cells: &[Cell],
+        bodies: &[Body],
+        tolerance: f64,
+        monitor: &dyn Monitor,
+    ) -> Result<Self, SetupError> {
+        let mut found: Vec<Vec<Attachment>> = Vec::with_capacity(vertices.len());
+        for chunk in vertices.chunks(CHUNK) {
+            if monitor.cancelled() {
+                return Err(SetupError::Cancelled);
+            }
+            found.par_extend(chunk.par_iter().map(|x| attachments(&Vector3::from(*x), bodies, tolerance)));
+            monitor.progress(Stage::Ownership, found.len() as f64 / vertices.len() as f64);
+        }
+        refuse_off_surface(vertices, &found, bodies, tolerance)?;
+        let mut offsets = vec![0];
+        let mut attachments = Vec::with_capacity(vertices.len());
+        for found in found {
+            attachments.extend(found);
+            offsets.push(attachments.len() as u32);
+        }
+        let mut ownership = Self { offsets, attachments, cell_owner: Vec::new() };
+        ownership.cell_owner = ownership.cell_owners(vertices, cells, bodies)?;
+        ownership.drop_stray_attachments(cells);
+        for (index, body) in bodies.iter().enumerate() {
+            if !ownership.cell_owner.contains(&(index as u32)) {
+                return Err(SetupError::UnusedComponent { index, name: body.component().name().to_owned() });
+            }
+        }
+        Ok(ownership)
+    }
+
+    fn cell_owners(
+        &self,
+        vertices: &[[f64; 3]],
+        cells: &[Cell],
+        bodies: &[Body],
+    ) -> Result<Vec<u32>, SetupError> {
+        let owners: Vec<Option<u32>> = cells
+            .par_iter()
+            .map(|cell| {
+                let corners = cell.vertices();
+                let common: Vec<u32> = self
+                    .of(corners[0])
+                    .iter()
+                    .map(|a| a.component)
+                    .filter(|&c| corners[1..].iter().all(|&v| self.on(v, c).is_some()))
+                    .collect();
+                match common[..] {
+                    [] => None,
+                    [owner] => Some(owner),
+                    // All corners are on a seam: the component that the middle of the cell lies on.
+                    _ => {
+                        let middle = centroid(vertices, cell);
+                        common.into_iter().min_by(|&a, &b| {
+                            let [da, db] =
+                                [a, b].map(|c| bodies[c as usize].closest_point(&middle).distance.abs());
+                            da.total_cmp(&db)
+                        })
+                    }
+                }
+            })
+            .collect();
+        let across: Vec<u32> =
+            (0u32..).zip(&owners).filter(|(_, owner)| owner.is_none()).map(|(i, _)| i).collect();
+        if across.is_empty() {
+            Ok(owners.into_iter().flatten().collect())
+        } else {
+            let first = across.iter().take(LISTED).copied().collect();
+            Err(SetupError::CellAcrossSeam { count: across.len(), first })
+        }
+    }
+
+    /// A vertex stays attached only to components that own a cell around it: one that merely touches another component is
+    /// no seam vertex.
+    fn drop_stray_attachments(&mut self, cells: &[Cell]) {
+        let topology = Topology::of_cells(self.vertex_count(), cells);
+        let mut offsets = vec![0];
+        let mut kept = Vec::with_capacity(self.attachments.len());
+        for v in 0..self.vertex_count() as u32 {
+            let around = topology.vertex_cells.row(v as usize);
+            let owns = |a: &&Attachment| around.iter().any(|&c| self.cell_owner[c as usize] == a.component);
+            let before = kept.len();
+            kept.extend(self.of(v).iter().filter(owns));
+            if kept.len() == before {
+                kept.push(self.of(v)[0]);
+            }
+            offsets.push(kept.len() as u32);
+        }
+        (self.offsets, self.attachments) = (offsets, kept);
+    }
+}
+
+/// Mean of a cell's vertices.
+pub fn centroid(vertices: &[[f64; 3]], cell: &Cell) -> Vector3 {
+    let corners = cell.vertices();
+    corners.iter().map(|&v| Vector3::from(vertices[v as usize])).sum::<Vector3>() / corners.len() as f64
+}
+
+fn attachments(x: &Vector3, bodies: &[Body], tolerance: f64) -> Vec<Attachment> {
+    (0u32..)
+        .zip(bodies)
+        .filter_map(|(component, body)| {
+            let foot = body.closest_point_within(x, tolerance)?;
+            Some(Attachment {
+                component,
+                location: foot.location,
+                freedom: freedom(body, &foot.location, foot.feature),
+                distance: foot.distance.abs(),
+            })
+        })
+        .collect()
+}
+
+/// What the component's sharp features leave to a vertex at `location`.
+fn freedom(body: &Body, location: &Location, feature: Feature) -> Freedom {
+    let component = body.component();
+    match feature {
+        Feature::Corner { .. } => Freedom::Fixed,
+        Feature::Edge { edge } => Freedom::Edge(edge),
+        Feature::Face => match component.edge_of(location, ON_SIDE) {
+            Some(edge) if component.edges()[edge as usize].collapsed => Freedom::Fixed,
+            Some(edge) if component.edges()[edge as usize].sharp => Freedom::Edge(edge),
+            _ => Freedom::Surface,
+        },
+    }
+}
+
+fn refuse_off_surface(
+    vertices: &[[f64; 3]],
+    found: &[Vec<Attachment>],
+    bodies: &[Body],
+    tolerance: f64,
+) -> Result<(), SetupError> {
+    let mut off: Vec<VertexDistance> = (0u32..)
+        .zip(found)
+        .filter(|(_, attachments)| attachments.is_empty())
+        .map(|(vertex, _)| VertexDistance { vertex, distance: 0.0 })
+        .collect();
+    if off.is_empty() {
+        return Ok(());
+    }
+    off.par_iter_mut().for_each(|o| {
+        let x = Vector3::from(vertices[o.vertex as usize]);
+        o.distance =
+            bodies.iter().map(|b| b.closest_point(&x).distance.abs()).fold(f64::INFINITY, f64::min);
+    });
+    off.sort_by(|a, b| b.distance.total_cmp(&a.distance).then(a.vertex.cmp(&b.vertex)));
+    let count = off.len();
+    off.truncate(LISTED);
+    Err(SetupError::OffSurface { count, tolerance, worst: off })
+}

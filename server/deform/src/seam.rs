@@ -1,0 +1,388 @@
+//! Soft-bracketed intersection motion (sec. III.C of the paper, eq. 10 to 14).
+//!
+//! Each seam vertex moves along a parametric line of its reference component, `q(lambda) = S_r(mu(lambda))`, to the root of
+//! `g(lambda) = Phi_T(q(lambda))`, the smooth union of the signed distances to its targets. Soft bisection brings the
+//! iterate near the root, safeguarded Newton steps finish it. A vertex where three components meet solves for both
+//! parameters instead; the seams that end there are carried along.
+
+use moldline_geometry::{Body, Location, ParameterDirection, SmoothUnion};
+use moldline_spline::Vector3;
+use rayon::prelude::*;
+
+use crate::{
+    DeformError, Monitor, SeamOptions,
+    error::{LISTED, VertexDistance},
+};
+
+/// Newton and bisection steps of the polish at most.
+const POLISH_STEPS: usize = 80;
+/// Share of the line's length that the bracket is widened by in a step.
+const WIDENING: f64 = 1.0 / 64.0;
+/// Newton steps at a point where three components meet.
+const JUNCTION_STEPS: usize = 50;
+
+/// The line along which a seam vertex is searched.
+#[derive(Clone, Debug)]
+pub struct SeamLine {
+    /// Component that carries the line.
+    pub reference: u32,
+    /// The vertex in the reference state, `lambda = 0`.
+    pub start: Location,
+    /// The parameter that is searched; the other one is held.
+    pub direction: ParameterDirection,
+    /// Bracket `[l, u]` of lambda, and how far the line goes on at most.
+    pub bracket: [f64; 2],
+    /// Ends of the component along the line.
+    pub limits: [f64; 2],
+    /// Components whose union is to be met.
+    pub targets: Vec<u32>,
+    /// Shift of the held parameter with the junctions at the seam's ends: `(junction, weight)`.
+    pub carried: Vec<(u32, f64)>,
+}
+
+/// A vertex where three components meet.
+#[derive(Clone, Debug)]
+pub struct Junction {
+    /// Component on whose surface the point is sought.
+    pub reference: u32,
+    /// The vertex in the reference state.
+    pub start: Location,
+    /// The two components to be met at once.
+    pub targets: [u32; 2],
+}
+
+/// How a seam vertex is found.
+#[derive(Clone, Debug)]
+pub enum SeamSearch {
+    /// By one parameter.
+    Line(SeamLine),
+    /// By two parameters.
+    Junction(Junction),
+}
+
+/// One vertex on two or more components.
+#[derive(Clone, Debug)]
+pub struct SeamVertex {
+    /// Index into the mesh.
+    pub vertex: u32,
+    /// The components that it lies on.
+    pub owners: Vec<u32>,
+    /// Its parameters on each of them in the reference state.
+    pub locations: Vec<Location>,
+    /// How it is found.
+    pub search: SeamSearch,
+}
+
+/// A seam vertex found.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SeamPoint {
+    /// Where it is, m.
+    pub position: Vector3,
+    /// Its parameters on each of its owners, in their order.
+    pub locations: Vec<Location>,
+    /// Largest distance to an owner, m.
+    pub residual: f64,
+}
+
+/// The search over all seam vertices of a set-up.
+#[derive(Clone, Debug)]
+pub struct SeamSolver {
+    /// The seam vertices.
+    pub vertices: Vec<SeamVertex>,
+    /// Numbers and tolerances.
+    pub options: SeamOptions,
+    /// Reference length, m.
+    pub length: f64,
+}
+
+/// `(g, dg/dlambda)` at a point of a line.
+#[derive(Clone, Copy)]
+struct Residual {
+    g: f64,
+    slope: f64,
+    /// Length of the step that one unit of lambda makes, m.
+    speed: f64,
+}
+
+impl SeamSolver {
+    /// All seam points in the state of `bodies`, in the order of `vertices`.
+    ///
+    /// # Errors
+    /// [`DeformError::SeamLost`] naming the vertices whose line does not meet its target.
+    pub fn eval(&self, bodies: &[Body], monitor: &dyn Monitor) -> Result<Vec<SeamPoint>, DeformError> {
+        let junctions: Vec<(usize, Result<SeamPoint, f64>)> = self
+            .vertices
+            .par_iter()
+            .enumerate()
+            .filter_map(|(i, v)| match &v.search {
+                SeamSearch::Junction(junction) => Some((i, self.junction(v, junction, bodies))),
+                SeamSearch::Line(_) => None,
+            })
+            .collect();
+        let mut found: Vec<Option<Result<SeamPoint, f64>>> = vec![None; self.vertices.len()];
+        for (i, point) in junctions {
+            found[i] = Some(point);
+        }
+        let lines: Vec<Option<Result<SeamPoint, f64>>> = self
+            .vertices
+            .par_iter()
+            .map(|v| match &v.search {
+                SeamSearch::Line(_) if monitor.cancelled() => None,
+                SeamSearch::Line(line) => Some(self.line(v, line, bodies, &found)),
+                SeamSearch::Junction(_) => None,
+            })
+            .collect();
+        if monitor.cancelled() {
+            return Err(DeformError::Cancelled);
+        }
+        let mut points = Vec::with_capacity(self.vertices.len());
+        let mut lost: Vec<(usize, f64)> = Vec::new();
+        for (i, (line, junction)) in lines.into_iter().zip(found).enumerate() {
+            // Every vertex has exactly one of the two: its search is a line or a junction.
+            match line.or(junction).unwrap_or(Err(f64::NAN)) {
+                Ok(point) => points.push(point),
+                Err(distance) => lost.push((i, distance)),
+            }
+        }
+        if lost.is_empty() { Ok(points) } else { Err(self.lost(&lost, bodies)) }
+    }
+
+    fn lost(&self, lost: &[(usize, f64)], bodies: &[Body]) -> DeformError {
+        let name = |c: u32| bodies[c as usize].component().name().to_owned();
+        let (reference, target) = match &self.vertices[lost[0].0].search {
+            SeamSearch::Line(line) => {
+                let targets: Vec<String> = line.targets.iter().map(|&t| name(t)).collect();
+                (name(line.reference), targets.join("+"))
+            }
+            SeamSearch::Junction(j) => {
+                (name(j.reference), format!("{} and {}", name(j.targets[0]), name(j.targets[1])))
+            }
+        };
+        DeformError::SeamLost {
+            reference,
+            target,
+            count: lost.len(),
+            worst: lost
+                .iter()
+                .take(LISTED)
+                .map(|&(i, distance)| VertexDistance { vertex: self.vertices[i].vertex, distance })
+                .collect(),
+        }
+    }
+
+    /// Smooth union of the targets' distances (eq. 11).
+    fn residual(&self, line: &SeamLine, at: &Location, bodies: &[Body], bound: f64) -> Residual {
+        let point = bodies[line.reference as usize].point(at);
+        let tangent = match line.direction {
+            ParameterDirection::U => point.d_u,
+            ParameterDirection::V => point.d_v,
+        };
+        let (g, gradient) = if let [target] = line.targets[..] {
+            let foot = nearest(&bodies[target as usize], &point.position, bound);
+            (foot.distance, foot.normal)
+        } else {
+            let feet: Vec<(f64, Vector3)> = line
+                .targets
+                .iter()
+                .map(|&t| {
+                    let foot = bodies[t as usize].closest_point(&point.position);
+                    (foot.distance, foot.normal)
+                })
+                .collect();
+            let mut weights = vec![0.0; feet.len()];
+            let union = SmoothUnion::from_fillet(self.options.fillet * self.length);
+            let point = union.eval(&feet, &mut weights);
+            (point.phi, point.gradient)
+        };
+        Residual { g, slope: gradient.dot(&tangent), speed: tangent.norm() }
+    }
+
+    /// The root on a line, or the distance at which the search ended.
+    fn line(
+        &self,
+        vertex: &SeamVertex,
+        line: &SeamLine,
+        bodies: &[Body],
+        junctions: &[Option<Result<SeamPoint, f64>>],
+    ) -> Result<SeamPoint, f64> {
+        let body = &bodies[line.reference as usize];
+        let start = self.carried(line, body, junctions);
+        let at = |lambda: f64| body.walk(&start, line.direction, lambda);
+        let g = |lambda: f64, bound: f64| self.residual(line, &at(lambda), bodies, bound);
+
+        let ([mut lower, mut upper], mut g_lower) = self.bracket(line, &g)?;
+        // Soft bisection (eq. 14). The bracket halves in every step whatever the indicator says.
+        let (mut l, mut u, mut g_l) = (lower, upper, g_lower);
+        for _ in 0..self.options.soft_steps {
+            let m = 0.5 * (l + u);
+            let g_m = g(m, f64::INFINITY).g;
+            if (g_m < 0.0) == (g_lower < 0.0) {
+                (lower, g_lower) = (m, g_m);
+            } else {
+                upper = m;
+            }
+            let z = (g_l / self.length) * (g_m / self.length);
+            let same_side = 0.5 * (1.0 + (self.options.eta * z).tanh());
+            l += same_side * (m - l);
+            u += (1.0 - same_side) * (m - u);
+            g_l += same_side * (g_m - g_l);
+        }
+        // Polish: Newton steps, bisection where they leave the hard bracket.
+        let mut lambda = 0.5 * (l + u);
+        if !(lambda > lower && lambda < upper) {
+            lambda = 0.5 * (lower + upper);
+        }
+        let tolerance = self.options.tolerance * self.length;
+        let mut best = (f64::INFINITY, lambda);
+        let mut bound = f64::INFINITY;
+        for _ in 0..POLISH_STEPS {
+            let residual = g(lambda, bound);
+            if residual.g.abs() < best.0 {
+                best = (residual.g.abs(), lambda);
+            }
+            if residual.g.abs() <= 0.1 * tolerance {
+                break;
+            }
+            if (residual.g < 0.0) == (g_lower < 0.0) {
+                lower = lambda;
+            } else {
+                upper = lambda;
+            }
+            let newton = lambda - residual.g / residual.slope;
+            let next = if newton > lower && newton < upper { newton } else { 0.5 * (lower + upper) };
+            if next == lambda || upper - lower <= f64::EPSILON * (1.0 + lambda.abs()) {
+                break;
+            }
+            // Distances change no faster than the point moves; a factor covers the curvature of the line.
+            bound = residual.g.abs() + 4.0 * residual.speed * (next - lambda).abs();
+            lambda = next;
+        }
+        if best.0 > tolerance { Err(best.0) } else { Ok(self.found(vertex, line.reference, at(best.1), bodies)) }
+    }
+
+    /// The start of a line, its held parameter shifted with the junctions at the ends of the seam.
+    fn carried(
+        &self,
+        line: &SeamLine,
+        body: &Body,
+        junctions: &[Option<Result<SeamPoint, f64>>],
+    ) -> Location {
+        let held = match line.direction {
+            ParameterDirection::U => ParameterDirection::V,
+            ParameterDirection::V => ParameterDirection::U,
+        };
+        let mut shift = 0.0;
+        for &(junction, weight) in &line.carried {
+            let vertex = &self.vertices[junction as usize];
+            let Some(Ok(point)) = &junctions[junction as usize] else { continue };
+            let Some(on_line) = vertex.owners.iter().position(|&o| o == line.reference) else { continue };
+            let before = vertex.locations[on_line];
+            let after = point.locations[on_line];
+            if before.patch == after.patch {
+                shift += weight
+                    * match held {
+                        ParameterDirection::U => after.u - before.u,
+                        ParameterDirection::V => after.v - before.v,
+                    };
+            }
+        }
+        if shift == 0.0 { line.start } else { body.walk(&line.start, held, shift) }
+    }
+
+    /// A bracket with a change of sign: the stored one, or, searched outward from it, the nearest one along the line.
+    fn bracket(
+        &self,
+        line: &SeamLine,
+        g: &impl Fn(f64, f64) -> Residual,
+    ) -> Result<([f64; 2], f64), f64> {
+        let [mut l, mut u] = line.bracket;
+        let (mut g_l, mut g_u) = (g(l, f64::INFINITY).g, g(u, f64::INFINITY).g);
+        let step = WIDENING * (line.limits[1] - line.limits[0]);
+        while (g_l < 0.0) == (g_u < 0.0) {
+            let (below, above) = ((l - step).max(line.limits[0]), (u + step).min(line.limits[1]));
+            if below == l && above == u {
+                return Err(g_l.abs().min(g_u.abs()));
+            }
+            let (g_below, g_above) = (g(below, f64::INFINITY).g, g(above, f64::INFINITY).g);
+            if (g_below < 0.0) != (g_l < 0.0) {
+                return Ok(([below, l], g_below));
+            }
+            if (g_above < 0.0) != (g_u < 0.0) {
+                return Ok(([u, above], g_u));
+            }
+            (l, u, g_l, g_u) = (below, above, g_below, g_above);
+        }
+        Ok(([l, u], g_l))
+    }
+
+    /// Newton's method for two distances in the two parameters of the reference component.
+    fn junction(&self, vertex: &SeamVertex, junction: &Junction, bodies: &[Body]) -> Result<SeamPoint, f64> {
+        let body = &bodies[junction.reference as usize];
+        let tolerance = self.options.tolerance * self.length;
+        let distances = |at: &Location| {
+            let point = body.point(at);
+            let feet = junction.targets.map(|t| bodies[t as usize].closest_point(&point.position));
+            (point, feet.map(|f| f.distance), feet.map(|f| f.normal))
+        };
+        let mut at = junction.start;
+        let (mut point, mut g, mut normals) = distances(&at);
+        for _ in 0..JUNCTION_STEPS {
+            let norm = g[0].hypot(g[1]);
+            if norm <= 0.1 * tolerance {
+                break;
+            }
+            let [a, b] = [normals[0].dot(&point.d_u), normals[0].dot(&point.d_v)];
+            let [c, d] = [normals[1].dot(&point.d_u), normals[1].dot(&point.d_v)];
+            let determinant = a * d - b * c;
+            let (du, dv) = ((b * g[1] - d * g[0]) / determinant, (c * g[0] - a * g[1]) / determinant);
+            let mut step = 1.0;
+            let improved = loop {
+                let along_u = body.walk(&at, ParameterDirection::U, step * du);
+                let next = body.walk(&along_u, ParameterDirection::V, step * dv);
+                let (p, h, n) = distances(&next);
+                if h[0].hypot(h[1]) < norm {
+                    (at, point, g, normals) = (next, p, h, n);
+                    break true;
+                }
+                step *= 0.5;
+                if step < 1e-6 {
+                    break false;
+                }
+            };
+            if !improved {
+                break;
+            }
+        }
+        let residual = g[0].abs().max(g[1].abs());
+        if residual > tolerance { Err(residual) } else { Ok(self.found(vertex, junction.reference, at, bodies)) }
+    }
+
+    /// Parameters on every owner of a point found on its reference component.
+    fn found(&self, vertex: &SeamVertex, reference: u32, at: Location, bodies: &[Body]) -> SeamPoint {
+        let position = bodies[reference as usize].position(&at);
+        let mut residual: f64 = 0.0;
+        let locations = vertex
+            .owners
+            .iter()
+            .map(|&owner| {
+                if owner == reference {
+                    return at;
+                }
+                let foot = bodies[owner as usize].closest_point(&position);
+                residual = residual.max(foot.distance.abs());
+                foot.location
+            })
+            .collect();
+        SeamPoint { position, locations, residual }
+    }
+}
+
+/// The closest point, searched within `bound` first.
+fn nearest(body: &Body, x: &Vector3, bound: f64) -> moldline_geometry::FootPoint {
+    if bound.is_finite() {
+        if let Some(foot) = body.closest_point_within(x, bound) {
+            return foot;
+        }
+    }
+    body.closest_point(x)
+}

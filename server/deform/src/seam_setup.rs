@@ -1,0 +1,372 @@
+//! Set-up of the seam search: reference component, line, bracket and targets of every seam vertex (math: sec. III.C).
+
+use std::collections::{BTreeMap, HashMap};
+
+use moldline_geometry::{Body, Location, ParameterDirection};
+use moldline_mesh::{Topology, graph};
+use rayon::prelude::*;
+
+use crate::{
+    Monitor, SeamOptions, SetupError, Stage,
+    ownership::{Freedom, Ownership},
+    seam::{Junction, SeamLine, SeamSearch, SeamSolver, SeamVertex},
+};
+
+/// Samples of a line over the length of a patch, when brackets are looked for.
+const SAMPLES: f64 = 64.0;
+/// Patches that a line is followed over at most.
+const PATCHES: usize = 4;
+/// Sine of the angle between line and target below which they do not cross.
+const TANGENT: f64 = 1e-3;
+
+/// A connected row of seam vertices on the same components, as the report shows it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SeamSummary {
+    /// Names of the components that meet.
+    pub components: Vec<String>,
+    /// How many vertices.
+    pub vertices: usize,
+    /// Component whose lines are searched, and the parameter.
+    pub reference: String,
+    /// `u` or `v`; `u, v` where three components meet.
+    pub direction: &'static str,
+    /// Least sine of the angle between a line and its target.
+    pub transversality: f64,
+    /// Widths of the brackets, in units of the line's length: least and largest.
+    pub bracket: [f64; 2],
+}
+
+/// A way to search: component and parameter.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+struct Choice {
+    component: u32,
+    along_v: bool,
+}
+
+impl Choice {
+    fn direction(self) -> ParameterDirection {
+        if self.along_v { ParameterDirection::V } else { ParameterDirection::U }
+    }
+}
+
+/// Builds the solver for the seam vertices of `ownership`.
+///
+/// # Errors
+/// [`SetupError::TangentSeam`] where components touch without crossing.
+pub fn seam_solver(
+    ownership: &Ownership,
+    topology: &Topology,
+    vertices: &[[f64; 3]],
+    bodies: &[Body],
+    options: SeamOptions,
+    length: f64,
+    monitor: &dyn Monitor,
+) -> Result<(SeamSolver, Vec<SeamSummary>), SetupError> {
+    let seam_vertices: Vec<u32> =
+        (0..ownership.vertex_count() as u32).filter(|&v| ownership.is_seam(v)).collect();
+    let junctions: Vec<u32> =
+        seam_vertices.iter().copied().filter(|&v| ownership.of(v).len() > 2).collect();
+    let index_of: HashMap<u32, u32> = (0u32..).zip(&seam_vertices).map(|(i, &v)| (v, i)).collect();
+
+    let mut lines: HashMap<u32, (SeamLine, f64)> = HashMap::new();
+    let mut summaries = Vec::new();
+    let rows = rows(ownership, topology, &seam_vertices);
+    for (done, row) in rows.iter().enumerate() {
+        if monitor.cancelled() {
+            return Err(SetupError::Cancelled);
+        }
+        let built = row_lines(row, ownership, bodies)?;
+        let carried = carried(row, &junctions, topology, vertices, &index_of);
+        summaries.push(summary(row, ownership, bodies, &built));
+        for ((&vertex, (mut line, quality)), carried) in row.iter().zip(built).zip(carried) {
+            line.carried = carried;
+            lines.insert(vertex, (line, quality));
+        }
+        monitor.progress(Stage::Seams, (done + 1) as f64 / rows.len() as f64);
+    }
+    let solver_vertices = seam_vertices
+        .iter()
+        .map(|&vertex| {
+            let owners: Vec<u32> = ownership.of(vertex).iter().map(|a| a.component).collect();
+            let locations = ownership.of(vertex).iter().map(|a| a.location).collect();
+            let search = match lines.remove(&vertex) {
+                Some((line, _)) => SeamSearch::Line(line),
+                None => SeamSearch::Junction(junction(vertex, ownership, bodies)?),
+            };
+            Ok(SeamVertex { vertex, owners, locations, search })
+        })
+        .collect::<Result<Vec<_>, SetupError>>()?;
+    if !junctions.is_empty() {
+        summaries.push(junction_summary(&junctions, ownership, bodies));
+    }
+    Ok((SeamSolver { vertices: solver_vertices, options, length }, summaries))
+}
+
+/// Rows of neighbouring vertices on the same two components; each row and the rows among them in order of their first vertex.
+fn rows(ownership: &Ownership, topology: &Topology, seam_vertices: &[u32]) -> Vec<Vec<u32>> {
+    let pair = |v: u32| -> Option<[u32; 2]> {
+        match ownership.of(v) {
+            [a, b] => Some([a.component, b.component]),
+            _ => None,
+        }
+    };
+    let mut row_of: BTreeMap<u32, usize> = BTreeMap::new();
+    let mut rows: Vec<Vec<u32>> = Vec::new();
+    for &first in seam_vertices {
+        if pair(first).is_none() || row_of.contains_key(&first) {
+            continue;
+        }
+        let mut row = Vec::new();
+        let mut front = vec![first];
+        row_of.insert(first, rows.len());
+        while let Some(v) = front.pop() {
+            row.push(v);
+            for &n in topology.vertex_neighbours.row(v as usize) {
+                if pair(n) == pair(first) && !row_of.contains_key(&n) {
+                    row_of.insert(n, rows.len());
+                    front.push(n);
+                }
+            }
+        }
+        row.sort_unstable();
+        rows.push(row);
+    }
+    rows
+}
+
+/// Lines of one row, all of one choice where that crosses everywhere, with their transversality.
+fn row_lines(
+    row: &[u32],
+    ownership: &Ownership,
+    bodies: &[Body],
+) -> Result<Vec<(SeamLine, f64)>, SetupError> {
+    let [a, b] = [0, 1].map(|k| ownership.of(row[0])[k].component);
+    let choices: Vec<Choice> = [a, b]
+        .into_iter()
+        .flat_map(|component| [false, true].map(|along_v| Choice { component, along_v }))
+        .collect();
+    // table[vertex][choice]
+    let table: Vec<Vec<f64>> = row
+        .par_iter()
+        .map(|&v| choices.iter().map(|&choice| transversality(v, choice, ownership, bodies)).collect())
+        .collect();
+    let worst = |k: usize| table.iter().map(|t| t[k]).filter(|t| *t >= 0.0).fold(f64::INFINITY, f64::min);
+    let best_of_row =
+        (0..choices.len()).fold(0, |best, k| if worst(k) > worst(best) { k } else { best });
+    row.par_iter()
+        .zip(&table)
+        .map(|(&vertex, scores)| {
+            let own_best =
+                (0..choices.len()).fold(0, |best, k| if scores[k] > scores[best] { k } else { best });
+            let k = if scores[best_of_row] > TANGENT { best_of_row } else { own_best };
+            let name = |c: u32| bodies[c as usize].component().name().to_owned();
+            let tangent = || SetupError::TangentSeam {
+                vertex,
+                reference: name(a),
+                target: name(b),
+                transversality: scores[k].max(0.0),
+            };
+            if scores[k] <= TANGENT {
+                return Err(tangent());
+            }
+            let line = line(vertex, choices[k], ownership, bodies).ok_or_else(tangent)?;
+            Ok((line, scores[k]))
+        })
+        .collect()
+}
+
+/// `|n_t . S_a| / |S_a|`, the sine between the line and the target's surface; negative if the line would leave the sharp
+/// edge that the vertex slides along.
+fn transversality(vertex: u32, choice: Choice, ownership: &Ownership, bodies: &[Body]) -> f64 {
+    let Some(own) = ownership.on(vertex, choice.component) else { return -1.0 };
+    let body = &bodies[choice.component as usize];
+    match own.freedom {
+        Freedom::Fixed => return -1.0,
+        Freedom::Edge(edge) => {
+            let side = body.component().edges()[edge as usize]
+                .sides
+                .iter()
+                .find(|s| s.patch == own.location.patch);
+            if side.is_some_and(|s| s.side.holds_u() != choice.along_v) {
+                return -1.0;
+            }
+        }
+        Freedom::Surface => {}
+    }
+    let point = body.point(&own.location);
+    let tangent = if choice.along_v { point.d_v } else { point.d_u };
+    let speed = tangent.norm();
+    let others = ownership.of(vertex).iter().filter(|o| o.component != choice.component);
+    others
+        .map(|o| {
+            // A vertex that slides along a sharp edge of the target has no normal there to measure by.
+            let normal = bodies[o.component as usize].normal(&o.location);
+            if speed > 0.0 { normal.dot(&tangent).abs() / speed } else { -1.0 }
+        })
+        .fold(f64::INFINITY, f64::min)
+}
+
+/// The line of a vertex with its bracket: from half way to the next root below to half way to the next root above, or
+/// to the end of the component.
+fn line(vertex: u32, choice: Choice, ownership: &Ownership, bodies: &[Body]) -> Option<SeamLine> {
+    let start = ownership.on(vertex, choice.component)?.location;
+    let body = &bodies[choice.component as usize];
+    let target = ownership.of(vertex).iter().find(|o| o.component != choice.component)?.component;
+    let domain = body.component().patches()[start.patch as usize].surface.domain();
+    let (low, high) = if choice.along_v { domain[1] } else { domain[0] };
+    let step = (high - low) / SAMPLES;
+    let at = |lambda: f64| body.walk(&start, choice.direction(), lambda);
+    let inside = |lambda: f64| bodies[target as usize].signed_distance(&body.position(&at(lambda))) < 0.0;
+
+    // Lengths to the end of the component, to the bracket's end, and the side of the target that lies there.
+    let scan = |sign: f64| {
+        let near = inside(sign * 0.01 * step);
+        let mut length = 0.0;
+        let mut bracket = None;
+        let mut previous = at(0.0);
+        for k in 1..=PATCHES * SAMPLES as usize {
+            let lambda = sign * step * k as f64;
+            let here = at(lambda);
+            if here == previous || (k > 2 && came_round(&start, &here, step)) {
+                break;
+            }
+            (previous, length) = (here, step * k as f64);
+            if bracket.is_none() && inside(lambda) != near {
+                bracket = Some(0.5 * length);
+            }
+        }
+        (near, length, bracket.unwrap_or(length))
+    };
+    let (below, length_below, bracket_below) = scan(-1.0);
+    let (above, length_above, bracket_above) = scan(1.0);
+    (below != above && length_below > 0.0 && length_above > 0.0).then(|| SeamLine {
+        reference: choice.component,
+        start,
+        direction: choice.direction(),
+        bracket: [-bracket_below, bracket_above],
+        limits: [-length_below, length_above],
+        targets: vec![target],
+        carried: Vec::new(),
+    })
+}
+
+/// Whether a line around a closed component is back at its start.
+fn came_round(start: &Location, here: &Location, step: f64) -> bool {
+    start.patch == here.patch && (start.u - here.u).hypot(start.v - here.v) < 0.75 * step
+}
+
+/// For every vertex of a row, the junctions at its ends with weights that go from one at the junction to zero at the
+/// other end.
+fn carried(
+    row: &[u32],
+    junctions: &[u32],
+    topology: &Topology,
+    vertices: &[[f64; 3]],
+    index_of: &HashMap<u32, u32>,
+) -> Vec<Vec<(u32, f64)>> {
+    let touches = |j: u32| {
+        topology.vertex_neighbours.row(j as usize).iter().any(|n| row.binary_search(n).is_ok())
+    };
+    let ends: Vec<u32> = junctions.iter().copied().filter(|&j| touches(j)).collect();
+    let distances: Vec<Vec<f64>> = ends
+        .iter()
+        .map(|&end| {
+            let allowed = |v: u32| v == end || row.binary_search(&v).is_ok();
+            graph::graph_distance(topology, vertices, &[end], allowed)
+        })
+        .collect();
+    row.iter()
+        .map(|&v| {
+            let mut near: Vec<(f64, u32)> = distances
+                .iter()
+                .zip(&ends)
+                .map(|(d, end)| (d[v as usize], index_of[end]))
+                .filter(|(d, _)| d.is_finite())
+                .collect();
+            near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+            match near[..] {
+                [] => Vec::new(),
+                [(_, only)] => vec![(only, 1.0)],
+                [(d1, first), (d2, second), ..] => {
+                    vec![(first, d2 / (d1 + d2)), (second, d1 / (d1 + d2))]
+                }
+            }
+        })
+        .collect()
+}
+
+/// The best conditioned way to find a vertex where several components meet.
+fn junction(vertex: u32, ownership: &Ownership, bodies: &[Body]) -> Result<Junction, SetupError> {
+    let owners = ownership.of(vertex);
+    let mut best: Option<(f64, Junction)> = None;
+    for own in owners.iter().filter(|o| o.freedom == Freedom::Surface) {
+        let point = bodies[own.component as usize].point(&own.location);
+        let (t_u, t_v) = (point.d_u.normalize(), point.d_v.normalize());
+        let others: Vec<_> = owners.iter().filter(|o| o.component != own.component).collect();
+        for (i, a) in others.iter().enumerate() {
+            for b in &others[i + 1..] {
+                let [n_a, n_b] = [a, b].map(|o| bodies[o.component as usize].normal(&o.location));
+                let score = (n_a.dot(&t_u) * n_b.dot(&t_v) - n_a.dot(&t_v) * n_b.dot(&t_u)).abs();
+                if best.as_ref().is_none_or(|(s, _)| score > *s) {
+                    let targets = [a.component, b.component];
+                    best = Some((score, Junction { reference: own.component, start: own.location, targets }));
+                }
+            }
+        }
+    }
+    let name = |k: usize| bodies[owners[k].component as usize].component().name().to_owned();
+    match best {
+        Some((score, junction)) if score > TANGENT => Ok(junction),
+        other => Err(SetupError::TangentSeam {
+            vertex,
+            reference: name(0),
+            target: name(1),
+            transversality: other.map_or(0.0, |(score, _)| score),
+        }),
+    }
+}
+
+fn summary(
+    row: &[u32],
+    ownership: &Ownership,
+    bodies: &[Body],
+    lines: &[(SeamLine, f64)],
+) -> SeamSummary {
+    let name = |c: u32| bodies[c as usize].component().name().to_owned();
+    let widths: Vec<f64> = lines
+        .iter()
+        .map(|(l, _)| (l.bracket[1] - l.bracket[0]) / (l.limits[1] - l.limits[0]))
+        .collect();
+    SeamSummary {
+        components: ownership.of(row[0]).iter().map(|a| name(a.component)).collect(),
+        vertices: row.len(),
+        reference: name(lines[0].0.reference),
+        direction: match lines[0].0.direction {
+            ParameterDirection::U => "u",
+            ParameterDirection::V => "v",
+        },
+        transversality: lines.iter().map(|(_, t)| *t).fold(f64::INFINITY, f64::min),
+        bracket: [
+            widths.iter().copied().fold(f64::INFINITY, f64::min),
+            widths.iter().copied().fold(0.0, f64::max),
+        ],
+    }
+}
+
+fn junction_summary(junctions: &[u32], ownership: &Ownership, bodies: &[Body]) -> SeamSummary {
+    let mut components: Vec<String> = junctions
+        .iter()
+        .flat_map(|&v| ownership.of(v))
+        .map(|a| bodies[a.component as usize].component().name().to_owned())
+        .collect();
+    components.sort();
+    components.dedup();
+    SeamSummary {
+        components,
+        vertices: junctions.len(),
+        reference: String::new(),
+        direction: "u, v",
+        transversality: f64::NAN,
+        bracket: [f64::NAN; 2],
+    }
+}
