@@ -187,7 +187,7 @@ class Patch:
         """Closest points by damped Newton from the nearest samples; beyond `within` only the sample itself (a bound)."""
         points = np.asarray(points, float)
         seed_u, seed_v, tree = self._seeds
-        distance, nearest = tree.query(points, k=starts)
+        distance, nearest = tree.query(points, k=np.arange(1, starts + 1))
         best = Foot(distance[:, 0].copy(), np.zeros(len(points), int), seed_u[nearest[:, 0]], seed_v[nearest[:, 0]], tree.data[nearest[:, 0]].copy())
         rows = np.flatnonzero(distance[:, 0] < within)
         for start in range(starts):
