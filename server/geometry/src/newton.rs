@@ -67,14 +67,13 @@ pub(crate) fn step(jet: &SurfaceJet, r: &Vector3, u: f64, v: f64, [ru, rv]: Rect
             if det > 1e-14 * a * c && det > 0.0 {
                 let du = (b * gv - c * gu) / det;
                 let dv = (b * gu - a * gv) / det;
-                // Where one parameter meets its bound, the other minimises along the bound.
-                let (cu, cv) = (clamp_u(du), clamp_v(dv));
-                if cu != du && cv == dv {
-                    (cu, clamp_v(-(gv + b * cu) / c), newton)
-                } else if cv != dv && cu == du {
-                    (clamp_u(-(gu + b * cv) / a), cv, newton)
+                let inside = |t: f64, (low, high): (f64, f64)| t >= low && t <= high;
+                if inside(u + du, ru) && inside(v + dv, rv) {
+                    (du, dv, newton)
                 } else {
-                    (cu, cv, newton)
+                    let (du, dv) =
+                        on_boundary([gu, gv], [a, b, c], [(ru.0 - u, ru.1 - u), (rv.0 - v, rv.1 - v)]);
+                    (du, dv, newton)
                 }
             } else {
                 // The tangents are parallel or one of them vanishes: follow the longer one.
@@ -91,6 +90,24 @@ pub(crate) fn step(jet: &SurfaceJet, r: &Vector3, u: f64, v: f64, [ru, rv]: Rect
         (du, dv, length) = (du * scale, dv * scale, limit);
     }
     Step { du, dv, held: [held_u, held_v], newton, length }
+}
+
+/// The minimum of the convex model `g . d + d . H d / 2` on the boundary of a rectangle of steps: on each side in turn.
+fn on_boundary([gu, gv]: [f64; 2], [a, b, c]: [f64; 3], [ru, rv]: Rectangle) -> (f64, f64) {
+    let mut best = (f64::INFINITY, (0.0, 0.0));
+    let mut offer = |du: f64, dv: f64| {
+        let model = gu * du + gv * dv + 0.5 * (a * du * du + c * dv * dv) + b * du * dv;
+        if model < best.0 {
+            best = (model, (du, dv));
+        }
+    };
+    for du in [ru.0, ru.1] {
+        offer(du, (-(gv + b * du) / c).clamp(rv.0, rv.1));
+    }
+    for dv in [rv.0, rv.1] {
+        offer((-(gu + b * dv) / a).clamp(ru.0, ru.1), dv);
+    }
+    best.1
 }
 
 /// Whether a step is acceptable: it decreases the squared distance, or it is a Newton step so short that the decrease is
