@@ -322,3 +322,32 @@ fn gmsh_orientation_gives_the_volume_of_the_box() {
     moldline_mesh::orientation::orient_outwards(&mesh.vertices, &mut mesh.cells, &topology, None).unwrap();
     assert!((enclosed_volume(&mesh.vertices, &mesh.cells, None) - 0.28).abs() < 1e-15);
 }
+
+/// Reading takes a time in proportion to the length: a reader that looks back over the whole file at each number would
+/// take hours over this one.
+#[test]
+fn large_files_are_read_through() {
+    let n = 400_u32;
+    let vertices = (0..=n).flat_map(|i| (0..=n).map(move |j| [f64::from(i), f64::from(j), 0.0])).collect();
+    let quad = |i: u32, j: u32| {
+        let a = i * (n + 1) + j;
+        Cell::quad(a, a + n + 1, a + n + 2, a + 1)
+    };
+    let cells = (0..n).flat_map(|i| (0..n).map(move |j| quad(i, j))).collect();
+    let mesh = SurfaceMesh::new(vertices, cells, vec![], vec![]).unwrap();
+    for version in [msh::Version::V2, msh::Version::V4] {
+        assert_eq!(msh::read(&msh::write(&mesh, version), &limits()).unwrap().mesh, mesh);
+    }
+    assert_eq!(vtu::read(&vtu::write(&mesh, &[], &[]), &limits()).unwrap().mesh, mesh);
+    let mut ascii = "solid\n".to_owned();
+    for cell in &mesh.cells {
+        ascii.push_str("facet normal 0 0 1 outer loop\n");
+        for &v in &cell.vertices()[..3] {
+            let [x, y, z] = mesh.vertices[v as usize];
+            ascii.push_str(&format!("vertex {x} {y} {z}\n"));
+        }
+        ascii.push_str("endloop endfacet\n");
+    }
+    ascii.push_str("endsolid\n");
+    assert_eq!(stl::read(ascii.as_bytes(), 1e-9, &limits()).unwrap().mesh.cells.len(), mesh.cells.len());
+}

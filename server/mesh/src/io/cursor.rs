@@ -28,18 +28,19 @@ impl<'a> Cursor<'a> {
         &self.bytes[self.position..]
     }
 
-    /// Where the next byte or word is; lines are counted only once something is wrong.
+    /// Where the next byte or word is. Counts lines from the start: for errors only.
     pub(super) fn place(&self) -> Place {
-        let space = match self.coding {
-            Coding::Ascii => self.rest().iter().take_while(|byte| byte.is_ascii_whitespace()).count(),
-            _ => 0,
-        };
-        self.place_of(self.position + space)
+        self.place_of(self.position)
     }
 
-    fn place_of(&self, position: usize) -> Place {
+    /// Where the byte, or the word, from `position` on is. Counts lines from the start: for errors only.
+    pub(super) fn place_of(&self, position: usize) -> Place {
         match self.coding {
-            Coding::Ascii => line_of(self.bytes, position),
+            Coding::Ascii => {
+                let rest = &self.bytes[position..];
+                let space = rest.iter().take_while(|byte| byte.is_ascii_whitespace()).count();
+                line_of(self.bytes, position + space)
+            }
             _ => Place::Byte(position),
         }
     }

@@ -165,10 +165,11 @@ impl<'a> Reader<'a> {
         for _ in 0..count {
             let dimension = self.cursor.number("a dimension")?;
             let tag = self.cursor.number("a physical tag")?;
-            let place = self.cursor.place();
+            let at = self.cursor.position;
             let line = self.cursor.line();
             let name = line.strip_prefix(b"\"").and_then(|name| name.strip_suffix(b"\""));
-            let name = name.ok_or_else(|| ReadError::unexpected(place, "a name in quotes", line))?;
+            let name = name
+                .ok_or_else(|| ReadError::unexpected(self.cursor.place_of(at), "a name in quotes", line))?;
             self.names.insert((dimension, tag), String::from_utf8_lossy(name).into_owned());
         }
         Ok(())
@@ -219,7 +220,7 @@ impl<'a> Reader<'a> {
         self.cursor.size("the smallest node tag")?;
         self.cursor.size("the largest node tag")?;
         for _ in 0..blocks {
-            let place = self.cursor.place();
+            let at = self.cursor.position;
             let dimension = self.cursor.int("an entity's dimension")?;
             self.cursor.int("an entity's tag")?;
             let parametric = self.cursor.int("0 or 1 for parametric nodes")?;
@@ -228,7 +229,11 @@ impl<'a> Reader<'a> {
                 (1, Ok(dimension @ 0..=3)) => dimension,
                 _ => {
                     let found = format!("dimension {dimension}, parametric {parametric}");
-                    return Err(ReadError::unexpected(place, "a node block", found.as_bytes()));
+                    return Err(ReadError::unexpected(
+                        self.cursor.place_of(at),
+                        "a node block",
+                        found.as_bytes(),
+                    ));
                 }
             };
             let count = self.cursor.size("a count of nodes")?;
@@ -326,12 +331,15 @@ impl<'a> Reader<'a> {
                 (kind, nodes) = self.element_type()?;
                 (run, tags) = (self.cursor.int("a count of elements")?, self.cursor.int("a count of tags")?);
             }
-            let place = self.cursor.place();
             let (run, tags) = match (usize::try_from(run), u64::try_from(tags)) {
                 (Ok(run), Ok(tags)) if (1..=left).contains(&run) => (run, tags),
                 _ => {
                     let found = format!("{run} elements with {tags} tags");
-                    return Err(ReadError::unexpected(place, "counts within bounds", found.as_bytes()));
+                    return Err(ReadError::unexpected(
+                        self.cursor.place(),
+                        "counts within bounds",
+                        found.as_bytes(),
+                    ));
                 }
             };
             left -= run;
@@ -358,12 +366,12 @@ impl<'a> Reader<'a> {
     }
 
     fn element_type(&mut self) -> Result<(i32, usize), ReadError> {
-        let place = self.cursor.place();
+        let at = self.cursor.position;
         let kind = self.cursor.int("an element type")?;
         match element::nodes(kind) {
             Some(nodes) if !element::is_curved_surface(kind) => Ok((kind, nodes)),
             _ => Err(ReadError::Unsupported {
-                place,
+                place: self.cursor.place_of(at),
                 what: format!("element type {kind}"),
                 advice: "write straight triangles and quadrilaterals (Mesh.ElementOrder = 1)",
             }),
@@ -380,10 +388,11 @@ impl<'a> Reader<'a> {
         let wanted = matches!(kind, element::POINT | element::LINE | element::TRIANGLE | element::QUAD);
         let mut nodes = [u32::MAX; 4];
         for k in 0..count {
+            let at = self.cursor.position;
             let node = tag(&mut self.cursor)?;
             if wanted {
-                let place = self.cursor.place();
-                nodes[k] = *self.nodes.get(&node).ok_or(ReadError::UnknownNode { place, node })?;
+                let unknown = || ReadError::UnknownNode { place: self.cursor.place_of(at), node };
+                nodes[k] = *self.nodes.get(&node).ok_or_else(unknown)?;
             }
         }
         let dimension = match kind {
@@ -452,10 +461,13 @@ impl<'a> Reader<'a> {
 }
 
 fn expect(cursor: &mut Cursor<'_>, expected: &str) -> Result<(), ReadError> {
-    cursor.skip_space();
-    let place = cursor.place();
+    let at = cursor.position;
     let word = cursor.word(expected)?;
-    if word == expected.as_bytes() { Ok(()) } else { Err(ReadError::unexpected(place, expected, word)) }
+    if word == expected.as_bytes() {
+        Ok(())
+    } else {
+        Err(ReadError::unexpected(cursor.place_of(at), expected, word))
+    }
 }
 
 /// Writes ASCII. Vertex groups become physical curves (edges with both ends in the group) and physical points (the rest)

@@ -26,7 +26,7 @@ pub fn read(bytes: &[u8], tolerance: f64, limits: &Limits) -> Result<Imported, R
                     ]))
                 })
             };
-            merger.add([corner(0), corner(1), corner(2)], "", Place::Byte(HEAD))?;
+            merger.add([corner(0), corner(1), corner(2)], "", || Place::Byte(HEAD))?;
         }
     } else if bytes.trim_ascii_start().get(..5).is_some_and(|word| word.eq_ignore_ascii_case(b"solid")) {
         read_ascii(bytes, &mut merger)?;
@@ -67,15 +67,14 @@ fn read_ascii(bytes: &[u8], merger: &mut Merger<'_>) -> Result<(), ReadError> {
         expect(&mut cursor, "solid")?;
         let name = String::from_utf8_lossy(cursor.line()).into_owned();
         loop {
-            cursor.skip_space();
-            let place = cursor.place();
+            let at = cursor.position;
             let word = cursor.word("`facet` or `endsolid`")?;
             if word.eq_ignore_ascii_case(b"endsolid") {
                 cursor.line();
                 break;
             }
             if !word.eq_ignore_ascii_case(b"facet") {
-                return Err(ReadError::unexpected(place, "`facet` or `endsolid`", word));
+                return Err(ReadError::unexpected(cursor.place_of(at), "`facet` or `endsolid`", word));
             }
             expect(&mut cursor, "normal")?;
             for _ in 0..3 {
@@ -93,19 +92,18 @@ fn read_ascii(bytes: &[u8], merger: &mut Merger<'_>) -> Result<(), ReadError> {
             }
             expect(&mut cursor, "endloop")?;
             expect(&mut cursor, "endfacet")?;
-            merger.add(corners, &name, place)?;
+            merger.add(corners, &name, || cursor.place_of(at))?;
         }
     }
 }
 
 fn expect(cursor: &mut Cursor<'_>, expected: &str) -> Result<(), ReadError> {
-    cursor.skip_space();
-    let place = cursor.place();
+    let at = cursor.position;
     let word = cursor.word(expected)?;
     if word.eq_ignore_ascii_case(expected.as_bytes()) {
         Ok(())
     } else {
-        Err(ReadError::unexpected(place, expected, word))
+        Err(ReadError::unexpected(cursor.place_of(at), expected, word))
     }
 }
 
@@ -122,7 +120,12 @@ impl<'a> Merger<'a> {
         Self { limits, vertices: HashMap::new(), draft: Draft::default(), corners: 0 }
     }
 
-    fn add(&mut self, corners: [[f64; 3]; 3], solid: &str, place: Place) -> Result<(), ReadError> {
+    fn add(
+        &mut self,
+        corners: [[f64; 3]; 3],
+        solid: &str,
+        place: impl Fn() -> Place,
+    ) -> Result<(), ReadError> {
         let draft = &mut self.draft;
         let mut cell = [0; 3];
         for (vertex, corner) in cell.iter_mut().zip(corners) {
@@ -137,7 +140,11 @@ impl<'a> Merger<'a> {
         }
         let over = |what, count: usize, limit: usize| {
             let (count, limit) = (count as u64, limit as u64);
-            if count > limit { Err(ReadError::TooMany { place, what, count, limit }) } else { Ok(()) }
+            if count > limit {
+                Err(ReadError::TooMany { place: place(), what, count, limit })
+            } else {
+                Ok(())
+            }
         };
         over("vertices", draft.positions.len(), self.limits.vertices)?;
         over("cells", draft.cells.len() + 1, self.limits.cells)?;
