@@ -9,6 +9,7 @@ import numpy as np
 import geometry
 import quality
 from bspline import Component, Patch
+from cad import occ_surface
 from mesh import Mesh
 
 
@@ -199,7 +200,7 @@ def gmsh_check(path: Path, components, mesh: Mesh):
         occ = gmsh.model.occ
         solids = []
         for component in components:
-            faces = [_occ_surface(occ, patch) for patch in component.patches]
+            faces = [occ_surface(occ, patch) for patch in component.patches]
             solids.append((3, occ.addVolume([occ.addSurfaceLoop(faces, sewing=True)])))
         union, _ = occ.fuse(solids[:1], solids[1:])
         volume = sum(occ.getMass(*solid) for solid in union)
@@ -207,23 +208,6 @@ def gmsh_check(path: Path, components, mesh: Mesh):
     finally:
         gmsh.finalize()
     return dict(gmsh=version, same_bits=bool((read == mesh.vertices).all()), physical_groups=groups, union_volume=volume)
-
-
-def _occ_surface(occ, patch: Patch):
-    net = patch.control_points
-    tags = [occ.addPoint(*net[i, j]) for j in range(net.shape[1]) for i in range(net.shape[0])]
-    knots_u, times_u = np.unique(patch.knots_u, return_counts=True)
-    knots_v, times_v = np.unique(patch.knots_v, return_counts=True)
-    return occ.addBSplineSurface(
-        tags,
-        net.shape[0],
-        degreeU=patch.degree_u,
-        degreeV=patch.degree_v,
-        knotsU=knots_u.tolist(),
-        knotsV=knots_v.tolist(),
-        multiplicitiesU=times_u.tolist(),
-        multiplicitiesV=times_v.tolist(),
-    )
 
 
 def report(components, mesh: Mesh, path: Path):

@@ -17,6 +17,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples" / "e175"
 
 import quality  # noqa: E402
 from bspline import POLE_TOLERANCE, Component, Patch  # noqa: E402
+from cad import occ_surface  # noqa: E402
 from mesh import Mesh  # noqa: E402
 
 FAR = 1e3  # m, larger than any configuration
@@ -76,7 +77,7 @@ def mesh_union(components: list[Component], size, quads: bool, half: bool) -> Me
             ("Mesh.MeshSizeFromPoints", 0),
             ("Mesh.MeshSizeFromCurvature", 0),
             ("Mesh.MeshSizeExtendFromBoundary", 0),
-            ("Mesh.Algorithm", 8 if quads else 6),
+            ("Mesh.Algorithm", 6),
             ("Mesh.RecombineAll", int(quads)),
             ("Mesh.Smoothing", 10),
         ):
@@ -98,6 +99,7 @@ def mesh_union(components: list[Component], size, quads: bool, half: bool) -> Me
         cell_piece[face == tag] = int(np.argmin(off))
     cells = _outward(vertices, cells, face, cell_piece, pieces)
     vertices = _onto_patches(vertices, cells, cell_piece, pieces, half)
+    cells, cell_piece = _split_flat(vertices, cells, cell_piece)
     owner = np.array([piece_owner for piece_owner, _ in pieces])[cell_piece]
     return Mesh(vertices, cells, owner, [c.name for c in components])
 
@@ -107,7 +109,7 @@ def _union(pieces, count, half):
     occ = gmsh.model.occ
     solids = []
     for owner in range(count):
-        faces = [_occ_surface(occ, piece) for piece_owner, piece in pieces if piece_owner == owner]
+        faces = [occ_surface(occ, piece) for piece_owner, piece in pieces if piece_owner == owner]
         solids.append((3, occ.addVolume([occ.addSurfaceLoop(faces, sewing=True)])))
     union, _ = occ.fuse(solids[:1], solids[1:])
     if half:
@@ -121,27 +123,6 @@ def _union(pieces, count, half):
     occ.synchronize()
     occ.remove([(2, f) for _, f in gmsh.model.getEntities(2) if f not in keep], recursive=True)
     occ.synchronize()
-
-
-def _occ_surface(occ, patch):
-    net = patch.control_points
-    points = [occ.addPoint(*net[i, j]) for j in range(net.shape[1]) for i in range(net.shape[0])]
-    knots_u, times_u = np.unique(patch.knots_u, return_counts=True)
-    knots_v, times_v = np.unique(patch.knots_v, return_counts=True)
-    weights = [] if patch.weights is None else np.asarray(patch.weights).T.ravel().tolist()
-    surface = occ.addBSplineSurface(
-        points,
-        net.shape[0],
-        degreeU=patch.degree_u,
-        degreeV=patch.degree_v,
-        weights=weights,
-        knotsU=knots_u.tolist(),
-        knotsV=knots_v.tolist(),
-        multiplicitiesU=times_u.tolist(),
-        multiplicitiesV=times_v.tolist(),
-    )
-    occ.remove([(0, p) for p in points])
-    return surface
 
 
 def _take_mesh(half):
@@ -221,6 +202,18 @@ def _onto_patches(vertices, cells, cell_piece, pieces, half):
             x[:, 1] = 0.0
         vertices[rows] = x
     return vertices
+
+
+def _split_flat(vertices, cells, cell_piece, limit=130.0):
+    """Splits quads with an angle above the limit (degrees) at the diagonal that leaves the smaller largest angle."""
+    worst = lambda c: np.nanmax(quality.corner_angles(vertices, c), axis=1)
+    flat = ~quality.is_triangle(cells) & (worst(cells) > limit)
+    a, b, c, d = cells[flat].T
+    pairs = [np.stack([[a, b, c, c], [a, c, d, d]], 0), np.stack([[a, b, d, d], [b, c, d, d]], 0)]
+    halves = [[np.ascontiguousarray(triangle.T) for triangle in pair] for pair in pairs]
+    first_better = np.maximum(*map(worst, halves[0])) <= np.maximum(*map(worst, halves[1]))
+    split = [np.where(first_better[:, None], one, other) for one, other in zip(*halves)]
+    return np.concatenate([cells[~flat], *split]), np.concatenate([cell_piece[~flat], cell_piece[flat], cell_piece[flat]])
 
 
 def check(components, mesh: Mesh, half: bool):
