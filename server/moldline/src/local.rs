@@ -1,16 +1,18 @@
 //! The engine on local files, without a server: the same input, the same bits.
 
 use std::{
+    collections::BTreeMap,
     fs, io,
     path::{Path, PathBuf},
 };
 
-use moldline_deform::{Deformation, Setup};
+use moldline_deform::{Deformation, Monitor, Setup};
 use moldline_mesh::{
     CellQuality, SurfaceMesh,
     io::vtu::{self, Array, Values},
 };
 use moldline_service::{Cancellation, Reporter, ServiceError};
+use moldline_setup::{ArchiveKind, Files, Limits, SetupFileError, read_folder, read_setup, unpack};
 
 use crate::{
     bar::Bar,
@@ -56,10 +58,7 @@ pub fn deform(options: &config::Deform) -> Result<(), Failure> {
     let pool = pool(&options.source)?;
     let setup = pool.install(|| build(&options.source))?;
     let design = design(options, &setup)?;
-    let bar = Bar::new();
-    let monitor = Reporter::new(Cancellation::default(), |progress| bar.show(&progress));
-    let deformation = pool.install(|| setup.deform(&design, &monitor)).map_err(ServiceError::from)?;
-    drop((monitor, bar));
+    let deformation = pool.install(|| with_bar(|monitor| setup.deform(&design, monitor)))?;
 
     write(&options.output, &vtu_of(&setup, &deformation))?;
     println!("{}", deformation.quality);
@@ -76,7 +75,7 @@ pub fn deform(options: &config::Deform) -> Result<(), Failure> {
 pub fn setup(options: &config::Setup) -> Result<(), Failure> {
     let setup = pool(&options.source)?.install(|| build(&options.source))?;
     if options.json {
-        println!("{}", moldline_setup::report_json(setup.report()));
+        println!("{:#}", moldline_setup::report_json(setup.report()));
     } else {
         println!("{}", setup.report());
     }
@@ -85,12 +84,57 @@ pub fn setup(options: &config::Setup) -> Result<(), Failure> {
 
 /// `moldline schema`
 pub fn schema() -> Result<(), Failure> {
-    println!("{}", moldline_setup::schema());
+    println!("{:#}", moldline_setup::setup_schema());
     Ok(())
 }
 
 fn pool(source: &Source) -> Result<rayon::ThreadPool, Failure> {
     Ok(rayon::ThreadPoolBuilder::new().num_threads(config::threads(source.threads)).build()?)
+}
+
+/// Reads and builds a set-up.
+fn build(source: &Source) -> Result<Setup, Failure> {
+    let limits = Limits::default();
+    let (files, setup_file) = read(source, &limits).map_err(ServiceError::from)?;
+    let content = read_setup(&files, Some(&setup_file), &limits).map_err(ServiceError::from)?;
+    with_bar(|monitor| Setup::build(content.input, monitor))
+}
+
+/// Runs `work` with a progress bar.
+fn with_bar<T, E: Into<ServiceError>>(work: impl FnOnce(&dyn Monitor) -> Result<T, E>) -> Result<T, Failure> {
+    let bar = Bar::new();
+    let monitor = Reporter::new(Cancellation::default(), |progress| bar.show(&progress));
+    work(&monitor).map_err(|error| Failure::Refused(error.into()))
+}
+
+fn read(source: &Source, limits: &Limits) -> Result<(Files, String), SetupFileError> {
+    let Some(setup_file) = &source.setup_file else { return read_folder(&source.path, limits) };
+    if source.path.is_dir() {
+        return read_folder(&source.path.join(setup_file), limits);
+    }
+    let io = |error| SetupFileError::Io { path: source.path.display().to_string(), source: error };
+    let kind = ArchiveKind::of_name(&source.path.to_string_lossy());
+    let kind = kind.ok_or_else(|| io(io::Error::other("it is neither a folder nor an archive")))?;
+    Ok((unpack(kind, &fs::read(&source.path).map_err(io)?, limits)?, setup_file.clone()))
+}
+
+/// Design and quality, the latter beside the reference mesh's.
+fn report(setup: &Setup, design: &[f64], deformation: &Deformation) -> serde_json::Value {
+    let values: BTreeMap<_, _> = setup
+        .parameterisation()
+        .variables()
+        .iter()
+        .zip(design)
+        .map(|(variable, value)| (&variable.name, value))
+        .collect();
+    serde_json::json!({
+        "design": values,
+        "quality": moldline_setup::quality_json(&deformation.quality),
+        "reference_quality": moldline_setup::quality_json(&setup.report().quality),
+        "seam_residual": deformation.seam_residual,
+        "projection_residual": deformation.projection_residual,
+        "projection_steps": deformation.projection_steps,
+    })
 }
 
 /// The design asked for, every variable in order.
@@ -128,7 +172,8 @@ fn vtu_of(setup: &Setup, deformation: &Deformation) -> Vec<u8> {
         seam[vertex as usize] = 1;
     }
     let moved = deformation.vertices.iter().zip(&reference.vertices);
-    let displacement: Vec<f64> = moved.flat_map(|(to, from)| [0, 1, 2].map(|axis| to[axis] - from[axis])).collect();
+    let displacement: Vec<f64> =
+        moved.flat_map(|(to, from)| [0, 1, 2].map(|axis| to[axis] - from[axis])).collect();
     let owner: Vec<i32> = setup.cell_owner().iter().map(|&owner| owner as i32).collect();
     let measure = |of: fn(&CellQuality) -> f64| deformation.cell_quality.iter().map(of).collect::<Vec<_>>();
     let measures = [

@@ -4,7 +4,6 @@ use std::{io::Write, net::SocketAddr, sync::Arc, time::Duration};
 
 use moldline_service::Service;
 use tokio::{net::TcpListener, runtime, sync::oneshot, time};
-use tokio_stream::wrappers::TcpListenerStream;
 use tonic::transport::server::TcpIncoming;
 
 use crate::{config::Serve, grpc, shutdown};
@@ -45,8 +44,11 @@ pub fn run(options: &Serve) -> Result<(), crate::local::Failure> {
     }
     let service = Arc::new(Service::new(options.pool(), options.limits()).map_err(ServeError::from)?);
     // Requests are few and compute elsewhere: one thread more than one keeps health probes answered.
-    let runtime =
-        runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().map_err(ServeError::from)?;
+    let runtime = runtime::Builder::new_multi_thread()
+        .worker_threads(2)
+        .enable_all()
+        .build()
+        .map_err(ServeError::from)?;
     let outcome = runtime.block_on(serve(options, service));
     runtime.shutdown_background();
     Ok(outcome?)
@@ -61,7 +63,7 @@ async fn serve(options: &Serve, service: Arc<Service>) -> Result<(), ServeError>
     announce(address, options)?;
     let (close, closed) = oneshot::channel::<()>();
     // Small messages leave at once: without it answers wait for the acknowledgement of the one before.
-    let incoming = TcpIncoming::from(TcpListenerStream::new(listener)).with_nodelay(Some(true));
+    let incoming = TcpIncoming::from(listener).with_nodelay(Some(true));
     let mut server = tokio::spawn(router.serve_with_incoming_shutdown(incoming, async {
         let _ = closed.await;
     }));
@@ -87,7 +89,9 @@ async fn serve(options: &Serve, service: Arc<Service>) -> Result<(), ServeError>
     Ok(())
 }
 
-fn flatten(ended: Result<Result<(), tonic::transport::Error>, tokio::task::JoinError>) -> Result<(), ServeError> {
+fn flatten(
+    ended: Result<Result<(), tonic::transport::Error>, tokio::task::JoinError>,
+) -> Result<(), ServeError> {
     match ended {
         Ok(outcome) => Ok(outcome?),
         Err(error) => Err(ServeError::Start(std::io::Error::other(error))),

@@ -28,6 +28,8 @@ mod sessions;
 mod setups;
 mod upload;
 
+pub use moldline_setup::ArchiveKind;
+
 pub use cancel::Cancellation;
 pub use error::{Code, ServiceError, Violation};
 pub use limits::Limits;
@@ -35,4 +37,4 @@ pub use pool::PoolLimits;
 pub use progress::{Progress, Reporter};
 pub use service::{Created, Deformed, Design, Receiving, Service, Values};
 pub use setups::{SetupId, StoredSetup};
-pub use upload::{ArchiveKind, FileEntry, UploadHeader, UploadSource, Uploaded};
+pub use upload::{FileEntry, Upload, UploadHeader, UploadSource, Uploaded};

@@ -17,8 +17,8 @@ pub struct Limits {
     pub request_id_bytes: usize,
     /// Bytes that an archive may unpack to.
     pub unpacked_bytes: u64,
-    /// Vertices of a mesh, and its cells.
-    pub mesh: moldline_mesh::Limits,
+    /// Components, control points, vertices and cells of a set-up.
+    pub setup_file: moldline_setup::Limits,
     /// Set-ups in memory.
     pub setups: usize,
     /// Sessions open.
@@ -36,8 +36,11 @@ impl Default for Limits {
             path_bytes: 1024,
             request_id_bytes: 128,
             unpacked_bytes: 512 * MIB,
-            // One response carries the vertices: 64 MiB is 2.7 million of them.
-            mesh: moldline_mesh::Limits { vertices: 2_000_000, cells: 2_000_000, ..Default::default() },
+            setup_file: moldline_setup::Limits {
+                // One response carries all vertices: 2.7 million of them are 64 MiB.
+                mesh: moldline_mesh::Limits { vertices: 2_000_000, cells: 2_000_000, ..Default::default() },
+                ..Default::default()
+            },
             setups: 32,
             sessions: 1000,
         }

@@ -88,7 +88,10 @@ impl ComputePool {
             // Nothing the closure may have left half done is used again: it owns what it changes.
             let outcome = catch_unwind(AssertUnwindSafe(|| work(&cancellation))).unwrap_or_else(|panic| {
                 tracing::error!(panic = panic_text(&*panic), "engine call panicked");
-                Err(ServiceError::new(Code::Internal, "the engine failed unexpectedly; the server's log has the cause"))
+                Err(ServiceError::new(
+                    Code::Internal,
+                    "the engine failed unexpectedly; the server's log has the cause",
+                ))
             });
             let completed =
                 outcome.map(|value| Completed { value, queued: start - arrival, ran: start.elapsed() });
@@ -152,7 +155,12 @@ mod tests {
         use rayon::prelude::*;
         let pool = pool(1, 0);
         let error = pool
-            .run(|_| Ok((0..1000).into_par_iter().map(|i| if i == 500 { panic!("inside") } else { i }).sum::<i32>()))
+            .run(|_| {
+                Ok((0..1000)
+                    .into_par_iter()
+                    .map(|i| if i == 500 { panic!("inside") } else { i })
+                    .sum::<i32>())
+            })
             .await
             .unwrap_err();
         assert_eq!(error.code, Code::Internal);

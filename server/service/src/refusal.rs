@@ -1,32 +1,110 @@
-//! The engine's errors as the service's: class, field, and the engine's own words, which name index, value and limit.
+//! Errors of the engine and of set-up files as the service's: class, field, and their own words, which name index, value
+//! and limit.
 
 use moldline_deform::{DeformError, SetupError};
-use moldline_parameterisation::DesignError;
+use moldline_mesh::{MeshError, io::ReadError};
+use moldline_parameterisation::{DesignError, ParameterisationError};
+use moldline_setup::SetupFileError;
 
 use crate::error::{Code, ServiceError};
+
+impl From<SetupFileError> for ServiceError {
+    fn from(error: SetupFileError) -> Self {
+        let field = match &error {
+            SetupFileError::SetupFile { .. } => "setup_file".to_owned(),
+            SetupFileError::MissingFile { field, .. }
+            | SetupFileError::Path { field, .. }
+            | SetupFileError::TooMany { field, .. }
+            | SetupFileError::NotFinite { field, .. }
+            | SetupFileError::Value { field, .. }
+            | SetupFileError::Size { field, .. }
+            | SetupFileError::Knots { field, .. }
+            | SetupFileError::Choice { field, .. }
+            | SetupFileError::Duplicate { field, .. } => field.clone(),
+            SetupFileError::Syntax { file, field, .. } if field.is_empty() => file.clone(),
+            SetupFileError::Syntax { field, .. } => field.clone(),
+            SetupFileError::Format { .. } => "format".to_owned(),
+            SetupFileError::Component { index, .. } => format!("components[{index}]"),
+            SetupFileError::Primitive { index, .. } => format!("components[{index}].primitive"),
+            SetupFileError::MeshFile { source: ReadError::Mesh(error), .. } | SetupFileError::Mesh(error) => {
+                mesh_field(error)
+            }
+            SetupFileError::MeshFile { .. } => "mesh.file".to_owned(),
+            SetupFileError::Parameterisation(error) => parameterisation_field(error),
+            SetupFileError::Archive { .. } => "archive".to_owned(),
+            SetupFileError::Io { path, .. } => path.clone(),
+        };
+        Self::invalid(field, error.to_string())
+    }
+}
 
 impl From<SetupError> for ServiceError {
     fn from(error: SetupError) -> Self {
         let field = match &error {
             SetupError::Cancelled => return Self::new(Code::Cancelled, error.to_string()),
-            SetupError::Option { field, .. } | SetupError::UnknownName { field, .. } => format!("options.{field}"),
+            SetupError::Option { field, .. } | SetupError::UnknownName { field, .. } => {
+                format!("options.{field}")
+            }
             SetupError::NotSymmetric(_) => "options.symmetric".to_owned(),
             SetupError::Components(_) => "components".to_owned(),
             SetupError::Component { index, .. } | SetupError::UnusedComponent { index, .. } => {
                 format!("components[{index}]")
             }
-            SetupError::Parameterisation(_) => "parameterisation".to_owned(),
+            SetupError::Parameterisation(error) => parameterisation_field(error),
             SetupError::Factorisation { field, .. } => field.clone(),
-            SetupError::Mesh(_)
-            | SetupError::OpenMesh { .. }
-            | SetupError::NonManifold { .. }
-            | SetupError::OffSurface { .. }
-            | SetupError::CellAcrossSeam { .. }
-            | SetupError::TangentSeam { .. }
-            | SetupError::ReferenceSeam(_) => "mesh".to_owned(),
+            SetupError::Mesh(error) => mesh_field(error),
+            SetupError::OffSurface { worst, .. } => match worst.first() {
+                Some(worst) => format!("mesh.vertices[{}]", worst.vertex),
+                None => "mesh.vertices".to_owned(),
+            },
+            SetupError::CellAcrossSeam { first, .. } => match first.first() {
+                Some(cell) => format!("mesh.cells[{cell}]"),
+                None => "mesh.cells".to_owned(),
+            },
+            SetupError::TangentSeam { vertex, .. } => format!("mesh.vertices[{vertex}]"),
+            SetupError::OpenMesh { .. } | SetupError::NonManifold { .. } | SetupError::ReferenceSeam(_) => {
+                "mesh".to_owned()
+            }
         };
         Self::invalid(field, error.to_string())
     }
+}
+
+fn mesh_field(error: &MeshError) -> String {
+    match error {
+        MeshError::Empty { what } | MeshError::TooMany { what, .. } => {
+            format!("mesh.{}", what.replace(' ', "_"))
+        }
+        MeshError::Coordinate { vertex, axis, .. } => format!("mesh.vertices[{vertex}][{axis}]"),
+        MeshError::VertexOutOfRange { cell, corner, .. } => format!("mesh.cells[{cell}][{corner}]"),
+        MeshError::RepeatedVertex { cell, .. } => format!("mesh.cells[{cell}]"),
+        MeshError::UnusedVertices { first, .. } => format!("mesh.vertices[{first}]"),
+        MeshError::GroupIndexOutOfRange { kind, .. } | MeshError::DuplicateGroup { kind, .. } => {
+            format!("mesh.{kind}_groups")
+        }
+    }
+}
+
+fn parameterisation_field(error: &ParameterisationError) -> String {
+    let field = match error {
+        ParameterisationError::PatchSize { component, patch, .. } => {
+            return format!("components[{component}].patches[{patch}]");
+        }
+        ParameterisationError::NotFinite { field, .. }
+        | ParameterisationError::DuplicateName { field, .. }
+        | ParameterisationError::UnknownName { field, .. }
+        | ParameterisationError::Empty { field }
+        | ParameterisationError::WrongUnit { field, .. }
+        | ParameterisationError::WrongShape { field, .. }
+        | ParameterisationError::NeedsBaseline { field, .. }
+        | ParameterisationError::BaselineNotPositive { field, .. }
+        | ParameterisationError::OutOfRange { field, .. }
+        | ParameterisationError::Knots { field, .. }
+        | ParameterisationError::Geometry { field, .. } => field.clone(),
+        ParameterisationError::UnusedVariable { index, .. }
+        | ParameterisationError::BaselineOutsideBounds { index, .. } => format!("variables[{index}]"),
+    };
+    format!("parameterisation.{field}")
 }
 
 impl From<DeformError> for ServiceError {
@@ -36,9 +114,9 @@ impl From<DeformError> for ServiceError {
             DeformError::Design(error) => error.into(),
             DeformError::Cancelled => Self::new(Code::Cancelled, text),
             DeformError::ControlPoints(_) => Self::invalid("control_points", text),
-            DeformError::SeamLost { .. } | DeformError::NotProjected { .. } | DeformError::FootPoint { .. } => {
-                Self::new(Code::FailedPrecondition, "").at("design", text)
-            }
+            DeformError::SeamLost { .. }
+            | DeformError::NotProjected { .. }
+            | DeformError::FootPoint { .. } => Self::new(Code::FailedPrecondition, "").at("design", text),
         }
     }
 }

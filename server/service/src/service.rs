@@ -202,7 +202,10 @@ impl Service {
         let limit = self.limits.request_id_bytes;
         if request_id.len() > limit {
             let length = request_id.len();
-            return Err(ServiceError::invalid("request_id", format!("{length} bytes are more than the limit of {limit}")));
+            return Err(ServiceError::invalid(
+                "request_id",
+                format!("{length} bytes are more than the limit of {limit}"),
+            ));
         }
         self.sessions.open(self.setup(setup_id)?, request_id)
     }

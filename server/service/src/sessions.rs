@@ -40,6 +40,7 @@ impl Sessions {
     pub fn open(&self, setup: Arc<StoredSetup>, request_id: &str) -> Result<String, ServiceError> {
         let mut state = self.lock();
         if let Some(session) = state.answers.find(request_id, setup.id.as_str())? {
+            // It may be closed by now; a retry that comes so late gets the same answer, and NotFound when it is used.
             return Ok(session.to_owned());
         }
         if state.open.len() >= self.capacity {

@@ -45,6 +45,13 @@ pub struct StoredSetup {
     pub build_time: Duration,
 }
 
+impl StoredSetup {
+    /// What the set-up found, as a JSON document.
+    pub fn report_json(&self) -> String {
+        moldline_setup::report_json(self.engine.report()).to_string()
+    }
+}
+
 /// All set-ups in memory, at most a given number.
 #[derive(Debug)]
 pub struct Setups {

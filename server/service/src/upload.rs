@@ -2,6 +2,8 @@
 
 use std::collections::HashSet;
 
+use moldline_setup::ArchiveKind;
+
 use crate::{
     error::{ServiceError, shorten},
     limits::Limits,
@@ -41,17 +43,6 @@ pub struct FileEntry {
     pub size: u64,
 }
 
-/// Formats of archives.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ArchiveKind {
-    /// tar
-    Tar,
-    /// tar, compressed by gzip
-    TarGz,
-    /// zip
-    Zip,
-}
-
 /// An upload under way.
 #[derive(Debug)]
 pub struct Upload {
@@ -82,7 +73,11 @@ impl Upload {
         if header.request_id.len() > limits.request_id_bytes {
             return Err(ServiceError::invalid(
                 "header.request_id",
-                format!("{} bytes are more than the limit of {}", header.request_id.len(), limits.request_id_bytes),
+                format!(
+                    "{} bytes are more than the limit of {}",
+                    header.request_id.len(),
+                    limits.request_id_bytes
+                ),
             ));
         }
         let sizes = match &header.source {
@@ -150,7 +145,10 @@ impl Upload {
                     UploadSource::Archive { .. } => "header.archive.size".to_owned(),
                 };
                 let received = content.len();
-                return Err(ServiceError::invalid(field, format!("{size} bytes were announced, {received} came")));
+                return Err(ServiceError::invalid(
+                    field,
+                    format!("{size} bytes were announced, {received} came"),
+                ));
             }
         }
         Ok(Uploaded { header: self.header, contents: self.contents })

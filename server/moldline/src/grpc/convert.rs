@@ -3,8 +3,8 @@
 use moldline_mesh::{Cell, CellQuality, Distribution, QualityReport, Summary};
 use moldline_proto::v1;
 use moldline_service::{
-    ArchiveKind, Created, Deformed, Design, FileEntry, Progress, ServiceError, StoredSetup, UploadHeader, UploadSource,
-    Values,
+    ArchiveKind, Created, Deformed, Design, FileEntry, Progress, ServiceError, StoredSetup, UploadHeader,
+    UploadSource, Values,
 };
 use v1::{DataType, create_setup_request::Part, create_setup_response::Event, deform_request::Input};
 
@@ -226,7 +226,11 @@ mod tests {
     use super::*;
 
     fn vector(shape: &[u64], bytes: usize, dtype: DataType) -> Option<Input> {
-        Some(Input::Design(v1::Array { dtype: dtype.into(), shape: shape.to_vec(), data: vec![0; bytes].into() }))
+        Some(Input::Design(v1::Array {
+            dtype: dtype.into(),
+            shape: shape.to_vec(),
+            data: vec![0; bytes].into(),
+        }))
     }
 
     #[test]

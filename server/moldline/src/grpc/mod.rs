@@ -2,6 +2,8 @@
 
 mod convert;
 mod status;
+#[cfg(test)]
+mod tests;
 
 use std::{pin::Pin, sync::Arc};
 
@@ -22,9 +24,11 @@ pub async fn router(
 ) -> Result<(Router, Health), tonic_reflection::server::Error> {
     let (reporter, health) = tonic_health::server::health_reporter();
     reporter.set_serving::<MeshServiceServer<Grpc>>().await;
-    let reflection =
-        || tonic_reflection::server::Builder::configure().register_encoded_file_descriptor_set(FILE_DESCRIPTOR_SET)
-            .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET);
+    let reflection = || {
+        tonic_reflection::server::Builder::configure()
+            .register_encoded_file_descriptor_set(FILE_DESCRIPTOR_SET)
+            .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
+    };
     let meshes = MeshServiceServer::new(Grpc { service })
         .max_decoding_message_size(max_message)
         .max_encoding_message_size(usize::MAX);
@@ -107,8 +111,12 @@ impl MeshService for Grpc {
         Ok(Response::new(v1::CloseSessionResponse {}))
     }
 
-    async fn deform(&self, request: Request<v1::DeformRequest>) -> Result<Response<v1::DeformResponse>, Status> {
-        let v1::DeformRequest { session_id, input, control_points, include_cell_quality } = request.into_inner();
+    async fn deform(
+        &self,
+        request: Request<v1::DeformRequest>,
+    ) -> Result<Response<v1::DeformResponse>, Status> {
+        let v1::DeformRequest { session_id, input, control_points, include_cell_quality } =
+            request.into_inner();
         let design = convert::design(input, control_points).map_err(refuse)?;
         let deformed = self.service.deform(&session_id, design).await.map_err(refuse)?;
         Ok(Response::new(convert::deformed(&deformed, include_cell_quality)))

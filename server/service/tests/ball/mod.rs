@@ -1,0 +1,72 @@
+//! A set-up small enough to write by hand: a unit ball meshed as an inflated cube, which can be moved along x.
+
+use std::collections::HashMap;
+
+use moldline_service::{FileEntry, Limits, Upload, UploadHeader, UploadSource, Uploaded};
+
+/// Cells along an edge of the cube.
+const CELLS: usize = 6;
+
+/// The set-up file; `title` makes it another set-up.
+pub fn setup_file(title: &str) -> String {
+    let (vertices, cells) = inflated_cube();
+    format!(
+        r#"{{
+            "format": 1,
+            "name": "{title}",
+            "mesh": {{ "vertices": {vertices:?}, "cells": {cells:?} }},
+            "components": [
+                {{ "name": "ball", "primitive": {{ "type": "sphere", "center": [0, 0, 0], "radius": 1 }} }}
+            ],
+            "parameterisation": {{
+                "variables": [{{ "name": "ball.x", "unit": "m", "lower": -1, "upper": 2 }}],
+                "operations": [
+                    {{ "type": "translation", "components": ["ball"], "direction": [1, 0, 0], "variable": "ball.x" }}
+                ]
+            }}
+        }}"#
+    )
+}
+
+/// The header of an upload of one set-up file.
+pub fn header(request_id: &str, file: &str) -> UploadHeader {
+    let entry = FileEntry { path: "setup.json".to_owned(), size: file.len() as u64 };
+    let source = UploadSource::Files(vec![entry]);
+    UploadHeader { request_id: request_id.to_owned(), setup_file: None, source }
+}
+
+/// The upload of one set-up file.
+pub fn uploaded(request_id: &str, file: &str) -> Uploaded {
+    let limits = Limits::default();
+    let mut upload = Upload::begin(header(request_id, file), &limits).unwrap();
+    upload.append(0, file.as_bytes(), &limits).unwrap();
+    upload.finish().unwrap()
+}
+
+fn inflated_cube() -> (Vec<[f64; 3]>, Vec<[usize; 4]>) {
+    let mut index_of = HashMap::new();
+    let (mut vertices, mut cells) = (Vec::new(), Vec::new());
+    for axis in 0..3 {
+        for side in [0, CELLS] {
+            for (i, j) in (0..CELLS).flat_map(|i| (0..CELLS).map(move |j| (i, j))) {
+                let mut cell = [[i, j], [i + 1, j], [i + 1, j + 1], [i, j + 1]].map(|[a, b]| {
+                    let mut corner = [0; 3];
+                    corner[axis] = side;
+                    corner[(axis + 1) % 3] = a;
+                    corner[(axis + 2) % 3] = b;
+                    *index_of.entry(corner).or_insert_with(|| {
+                        let x = corner.map(|k| 2.0 * k as f64 / CELLS as f64 - 1.0);
+                        let length = x.iter().map(|x| x * x).sum::<f64>().sqrt();
+                        vertices.push(x.map(|x| x / length));
+                        vertices.len() - 1
+                    })
+                });
+                if side == 0 {
+                    cell.reverse();
+                }
+                cells.push(cell);
+            }
+        }
+    }
+    (vertices, cells)
+}

@@ -1,0 +1,198 @@
+//! The service on the real engine, without a transport.
+
+mod ball;
+
+use std::{
+    sync::{Arc, Mutex},
+    time::Duration,
+};
+
+use moldline_service::{Code, Design, Limits, PoolLimits, Service, ServiceError, Values};
+
+fn service(threads: usize, limits: Limits) -> Service {
+    Service::new(PoolLimits { threads, running: threads, queued: 16 }, limits).unwrap()
+}
+
+async fn create(service: &Service, title: &str) -> Result<String, ServiceError> {
+    let created = service.create_setup(ball::uploaded("", &ball::setup_file(title)), |_| {}).await?;
+    Ok(created.setup.id.to_string())
+}
+
+fn moved(x: f64) -> Design {
+    Design { values: Values::Vector(vec![x]), control_points: Vec::new() }
+}
+
+#[tokio::test]
+async fn a_set_up_is_built_once_and_told_in_order() {
+    let service = service(2, Limits::default());
+    let file = ball::setup_file("ball");
+    let mut stages = Vec::new();
+    let first =
+        service.create_setup(ball::uploaded("", &file), |step| stages.push(step.stage)).await.unwrap();
+    stages.dedup();
+    assert!(first.built);
+    assert_eq!(first.setup.name, "ball");
+    assert_eq!(stages[..2], ["read", "mesh"]);
+    assert_eq!(stages.last(), Some(&"report"));
+
+    let again = service.create_setup(ball::uploaded("", &file), |_| {}).await.unwrap();
+    assert!(!again.built);
+    assert!(Arc::ptr_eq(&first.setup, &again.setup), "memory is shared");
+    assert_ne!(create(&service, "another").await.unwrap(), first.setup.id.as_str());
+}
+
+#[tokio::test]
+async fn all_who_ask_at_the_same_time_get_one_build() {
+    let service = Arc::new(service(2, Limits::default()));
+    let file = ball::setup_file("ball");
+    let builds = (0..8).map(|_| {
+        let (service, file) = (Arc::clone(&service), file.clone());
+        tokio::spawn(async move { service.create_setup(ball::uploaded("", &file), |_| {}).await.unwrap() })
+    });
+    let mut built = 0;
+    let mut ids = Vec::new();
+    for build in builds.collect::<Vec<_>>() {
+        let created = build.await.unwrap();
+        built += usize::from(created.built);
+        ids.push(created.setup.id.clone());
+    }
+    ids.dedup();
+    assert_eq!((built, ids.len()), (1, 1));
+}
+
+#[tokio::test]
+async fn giving_up_on_a_build_leaves_nothing_behind() {
+    let service = Arc::new(service(1, Limits::default()));
+    let file = ball::setup_file("ball");
+    let told = Arc::new(Mutex::new(0));
+    let build = tokio::spawn({
+        let (service, file, told) = (Arc::clone(&service), file.clone(), Arc::clone(&told));
+        async move {
+            service.create_setup(ball::uploaded("", &file), |_| *told.lock().unwrap() += 1).await.map(drop)
+        }
+    });
+    while *told.lock().unwrap() == 0 {
+        tokio::task::yield_now().await;
+    }
+    build.abort();
+    let _ = build.await;
+    while service.load() > 0 {
+        tokio::time::sleep(Duration::from_millis(1)).await;
+    }
+    assert!(create(&service, "ball").await.is_ok());
+}
+
+#[tokio::test]
+async fn deform_gives_the_engines_bits_whatever_the_number_of_threads() {
+    let mut results = Vec::new();
+    for threads in [1, 2, 3] {
+        let service = service(threads, Limits::default());
+        let setup = create(&service, "ball").await.unwrap();
+        let session = service.open_session(&setup, "").unwrap();
+        let deformed = service.deform(&session, moved(1.5)).await.unwrap();
+        let direct = service.setup(&setup).unwrap().engine.deform(&[1.5], &moldline_deform::Silent).unwrap();
+        assert_eq!(deformed.deformation.vertices, direct.vertices);
+        results.push((deformed.deformation.vertices, deformed.linearisation_id));
+    }
+    results.dedup();
+    assert_eq!(results.len(), 1);
+    // A ball that moves by 1.5 m is a ball around (1.5, 0, 0).
+    for [x, y, z] in &results[0].0 {
+        assert!((((x - 1.5).powi(2) + y * y + z * z).sqrt() - 1.0).abs() < 1e-12);
+    }
+}
+
+#[tokio::test]
+async fn control_points_take_the_place_of_a_component() {
+    let service = service(2, Limits::default());
+    let setup = create(&service, "ball").await.unwrap();
+    let session = service.open_session(&setup, "").unwrap();
+    let points = service.setup(&setup).unwrap().engine.parameterisation().control_points(&[0.75]).unwrap();
+    let design = Design { control_points: vec![("ball".to_owned(), points[0].clone())], ..Design::default() };
+    let given = service.deform(&session, design).await.unwrap();
+    let own = service.deform(&session, moved(0.75)).await.unwrap();
+    assert_eq!(given.deformation.vertices, own.deformation.vertices);
+    assert_ne!(given.linearisation_id, own.linearisation_id);
+}
+
+#[tokio::test]
+async fn bad_designs_are_refused_by_entry() {
+    let service = service(1, Limits::default());
+    let session = service.open_session(&create(&service, "ball").await.unwrap(), "").unwrap();
+    let named = |name: &str| Design {
+        values: Values::Named([(name.to_owned(), 0.0)].into()),
+        control_points: Vec::new(),
+    };
+    for (design, field) in [
+        (moved(f64::NAN), "design[0]"),
+        (moved(2.5), "design[0]"),
+        (Design { values: Values::Vector(vec![]), ..Design::default() }, "design"),
+        (named("ball.y"), "design[\"ball.y\"]"),
+        (
+            Design { control_points: vec![("wing".to_owned(), vec![])], ..Design::default() },
+            "control_points[\"wing\"]",
+        ),
+        (
+            Design { control_points: vec![("ball".to_owned(), vec![])], ..Design::default() },
+            "control_points[0]",
+        ),
+    ] {
+        let error = service.deform(&session, design).await.unwrap_err();
+        assert_eq!((error.code, error.violations[0].field.as_str()), (Code::InvalidArgument, field));
+    }
+}
+
+#[tokio::test]
+async fn set_ups_beyond_the_limit_push_out_idle_ones_only() {
+    let service = service(1, Limits { setups: 2, ..Limits::default() });
+    let first = create(&service, "first").await.unwrap();
+    let second = create(&service, "second").await.unwrap();
+    let session = service.open_session(&first, "").unwrap();
+    create(&service, "third").await.unwrap();
+    assert!(service.setup(&first).is_ok(), "in use, though used least recently");
+    assert_eq!(service.setup(&second).unwrap_err().code, Code::NotFound);
+
+    let third = create(&service, "third").await.unwrap();
+    let other = service.open_session(&third, "").unwrap();
+    assert_eq!(create(&service, "fourth").await.unwrap_err().code, Code::ResourceExhausted);
+    service.close_session(&other).unwrap();
+    create(&service, "fourth").await.unwrap();
+    service.deform(&session, moved(0.5)).await.unwrap();
+}
+
+#[tokio::test]
+async fn sessions_have_a_limit_and_request_ids() {
+    let service = service(1, Limits { sessions: 2, ..Limits::default() });
+    let (setup, other) = (create(&service, "ball").await.unwrap(), create(&service, "other").await.unwrap());
+    let first = service.open_session(&setup, "a").unwrap();
+    assert_eq!(service.open_session(&setup, "a").unwrap(), first);
+    assert_eq!(service.open_session(&other, "a").unwrap_err().code, Code::AlreadyExists);
+    service.open_session(&setup, "").unwrap();
+    assert_eq!(service.open_session(&setup, "").unwrap_err().code, Code::ResourceExhausted);
+    service.close_session(&first).unwrap();
+    assert_eq!(service.close_session(&first).unwrap_err().code, Code::NotFound);
+    service.open_session(&setup, "").unwrap();
+}
+
+#[tokio::test]
+async fn a_request_id_names_one_upload() {
+    let service = service(1, Limits::default());
+    let upload = |title| ball::uploaded("id", &ball::setup_file(title));
+    let first = service.create_setup(upload("ball"), |_| {}).await.unwrap();
+    let retry = service.create_setup(upload("ball"), |_| {}).await.unwrap();
+    assert_eq!(first.setup.id, retry.setup.id);
+    let error = service.create_setup(upload("other"), |_| {}).await.unwrap_err();
+    assert_eq!(error.code, Code::AlreadyExists);
+}
+
+#[tokio::test]
+async fn uploads_at_a_time_have_a_limit() {
+    let service = service(1, Limits { uploads: 1, ..Limits::default() });
+    let file = ball::setup_file("ball");
+    let receiving = service.receive(ball::header("", &file)).unwrap();
+    let error = service.receive(ball::header("", &file)).unwrap_err();
+    assert_eq!(error.code, Code::ResourceExhausted);
+    assert!(error.retry_after.is_some());
+    drop(receiving);
+    assert!(service.receive(ball::header("", &file)).is_ok());
+}

@@ -1,0 +1,57 @@
+"""The real server as a process of its own."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import threading
+from pathlib import Path
+from types import TracebackType
+
+import moldline
+
+
+class Server:
+    """A running `moldline serve` on a free port of the loopback interface."""
+
+    def __init__(self, binary: Path, *options: str) -> None:
+        command = [str(binary), "serve", "--listen", "127.0.0.1:0", *options]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        self.log: list[str] = []
+        self._reader = threading.Thread(target=self._read_log, daemon=True)
+        self._reader.start()
+        line = self.process.stdout.readline()
+        assert line, f"the server did not start:\n{''.join(self.log)}"
+        self.announcement = json.loads(line)
+        self.address: str = self.announcement["address"]
+
+    def _read_log(self) -> None:
+        # Read all the time, so that the server never waits for us.
+        for line in self.process.stderr:
+            self.log.append(line)
+
+    def client(self) -> moldline.Client:
+        return moldline.Client(self.address)
+
+    def stop(self) -> int:
+        """Asks it to stop, and returns its exit code."""
+        self.process.send_signal(signal.SIGTERM)
+        return self.wait()
+
+    def wait(self) -> int:
+        code = self.process.wait(timeout=60)
+        self._reader.join()
+        return code
+
+    def __enter__(self) -> Server:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self.process.poll() is None:
+            self.process.kill()
+            self.wait()
+        self.process.stdout.close()
+        self.process.stderr.close()
