@@ -124,10 +124,10 @@ impl<'a> Reader<'a> {
         if self.cursor.rest().is_empty() {
             return Ok(false);
         }
-        let place = self.cursor.place();
+        let at = self.cursor.position;
         let word = self.cursor.word("a section")?;
         let Some(name) = word.strip_prefix(b"$") else {
-            return Err(ReadError::unexpected(place, "a section such as $Nodes", word));
+            return Err(ReadError::unexpected(self.cursor.place_of(at), "a section such as $Nodes", word));
         };
         self.cursor.line();
         match (name, self.version) {

@@ -157,13 +157,13 @@ fn read_piece(
     let connectivity_tag = need(&piece.connectivity, "array `connectivity`")?;
     let types = file.integers(types_tag, cells)?;
     let offsets = file.integers(offsets_tag, cells)?;
-    let at_offsets = file.place(offsets_tag);
+    let at_offsets = || file.place(offsets_tag);
     let mut last = 0;
     for &offset in &offsets {
         if offset < last {
             let found = offset.to_string();
             return Err(ReadError::unexpected(
-                at_offsets,
+                at_offsets(),
                 format!("an offset of at least {last}"),
                 found.as_bytes(),
             ));
@@ -174,15 +174,15 @@ fn read_piece(
     let limit = (file.bytes.len() * data::MOST_PER_BYTE) as u64;
     if last as u64 > limit {
         let count = last as u64;
-        return Err(ReadError::TooMany { place: at_offsets, what: "cell vertices", count, limit });
+        return Err(ReadError::TooMany { place: at_offsets(), what: "cell vertices", count, limit });
     }
     let connectivity = file.integers(connectivity_tag, last as usize)?;
-    let at_connectivity = file.place(connectivity_tag);
+    let at_connectivity = || file.place(connectivity_tag);
     let vertex = |index: i64| match usize::try_from(index) {
         Ok(index) if index < points => Ok((first + index) as u32),
-        Ok(index) => Err(ReadError::UnknownNode { place: at_connectivity, node: index as u64 }),
+        Ok(index) => Err(ReadError::UnknownNode { place: at_connectivity(), node: index as u64 }),
         Err(_) => {
-            Err(ReadError::unexpected(at_connectivity, "an index of a point", index.to_string().as_bytes()))
+            Err(ReadError::unexpected(at_connectivity(), "an index of a point", index.to_string().as_bytes()))
         }
     };
 
@@ -200,7 +200,7 @@ fn read_piece(
             (5 | 8 | 9, _) => {
                 let found = format!("{} vertices", indices.len());
                 let expected = format!("a cell of type {kind}");
-                return Err(ReadError::unexpected(at_offsets, expected, found.as_bytes()));
+                return Err(ReadError::unexpected(at_offsets(), expected, found.as_bytes()));
             }
             // Strips, larger polygons, and the curved surface cells.
             (6 | 7 | 22 | 23 | 28 | 30 | 34..=36 | 69 | 70 | 75 | 76, _) => {

@@ -142,14 +142,16 @@ impl<'a> File<'a> {
         if count > room {
             return Err(self.wrong_length(array, count, room));
         }
-        // Lines are counted from the head of the array.
-        let Place::Line(first) = self.place(array) else { return Err(ReadError::Missing { what: "line" }) };
+        // The cursor counts lines from the head of the array.
+        let first = || match self.place(array) {
+            Place::Line(line) | Place::Byte(line) => line,
+        };
         let from_head = |error| match error {
             ReadError::Unexpected { place: Place::Line(line), expected, found } => {
-                ReadError::Unexpected { place: Place::Line(first + line - 1), expected, found }
+                ReadError::Unexpected { place: Place::Line(first() + line - 1), expected, found }
             }
             ReadError::Truncated { place: Place::Line(line), expected } => {
-                ReadError::Truncated { place: Place::Line(first + line - 1), expected }
+                ReadError::Truncated { place: Place::Line(first() + line - 1), expected }
             }
             other => other,
         };
