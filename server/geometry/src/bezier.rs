@@ -237,11 +237,13 @@ impl Shape {
             (m_uuu, m_uuv, m_uvv, m_vvv) = (t_uuu.0, t_uuv.0, t_uvv.0, t_vvv.0);
         }
 
+        // Differences of control points carry the rounding of their coordinates, which matters for tiny pieces.
+        let lost = 4.0 * f64::EPSILON * (net.p.max(net.q) as f64).powi(2) * (center.amax() + radius);
         let axes = frame(&d_u, &d_v);
         let mut low = Vector3::repeat(f64::INFINITY);
         let mut high = -low;
         for h in net.points() {
-            let p = position(h);
+            let p = position(h) - center;
             let local = Vector3::new(axes[0].dot(&p), axes[1].dot(&p), axes[2].dot(&p));
             low = low.inf(&local);
             high = high.sup(&local);
@@ -250,7 +252,7 @@ impl Shape {
         let half = (high - low) * 0.5;
         Self {
             axes,
-            middle: axes[0] * m.x + axes[1] * m.y + axes[2] * m.z,
+            middle: center + axes[0] * m.x + axes[1] * m.y + axes[2] * m.z,
             half: half.into(),
             center,
             radius,
@@ -258,8 +260,8 @@ impl Shape {
             dd: [d_uu, d_uv, d_vv],
             lengths: [d_u.norm(), d_v.norm()],
             lengths2: [d_uu.norm(), d_uv.norm(), d_vv.norm()],
-            stray: [m_uu + m_uv, m_uv + m_vv],
-            stray2: [m_uuu + m_uuv, m_uuv + m_uvv, m_uvv + m_vvv],
+            stray: [m_uu + m_uv + lost, m_uv + m_vv + lost],
+            stray2: [m_uuu + m_uuv + lost, m_uuv + m_uvv + lost, m_uvv + m_vvv + lost],
             bend: [m_uu, m_vv],
         }
     }
@@ -312,7 +314,9 @@ fn frame(d_u: &Vector3, d_v: &Vector3) -> [Vector3; 3] {
     let normal = d_u.cross(d_v);
     let scale = d_u.norm() * d_v.norm();
     let c = if normal.norm() > 1e-6 * scale {
-        normal.normalize()
+        // The product of nearly parallel tangents is not quite perpendicular to them.
+        let c = normal.normalize();
+        (c - a * a.dot(&c)).normalize()
     } else {
         // Any direction across: the one nearest to an axis.
         let mut axis = Vector3::zeros();

@@ -25,7 +25,7 @@ const TURNING: f64 = 0.6;
 /// ... but not more often than this: at poles they turn whatever the size.
 const MAX_CUTS: usize = 4;
 /// Pieces smaller than this, relative to the body, are not halved any more.
-const SMALLEST: f64 = 1e-12;
+const SMALLEST: f64 = 1e-14;
 /// Entries of the stack of a traversal: the tree is balanced, so its depth is the logarithm of the number of leaves.
 const STACK: usize = 64;
 

@@ -12,7 +12,7 @@ use moldline_spline::{Surface, SurfaceJet};
 pub(crate) type Rectangle = [(f64, f64); 2];
 
 /// Steps shorter than this, relative to the size of the component, are the last ones of a quadratic iteration.
-pub(crate) const LAST_STEP: f64 = 1e-9;
+pub(crate) const LAST_STEP: f64 = 1e-11;
 /// Steps shorter than this, relative to the size of the component, change nothing any more.
 pub(crate) const NO_STEP: f64 = 1e-15;
 
@@ -200,7 +200,7 @@ pub(crate) fn on_side(
             break;
         }
         // The last step of a quadratic iteration is taken whatever rounding does to the distance.
-        let last = newton && relative <= LAST_STEP;
+        let last = newton && relative <= 1e-9;
         let tolerance = if newton && relative <= 1e-6 { 1.0 + 1e-14 } else { 1.0 };
         let mut scale = 1.0;
         let accepted = loop {

@@ -180,7 +180,7 @@ fn distances_within_a_bound() {
 fn near_a_good_hint_the_local_foot_point_is_the_global_one() {
     for b in [body("wing", wing_patches(Trailing::Wedge)), body("fuselage", fuselage_patches())] {
         let mut random = Random(41);
-        let mut found = 0;
+        let (mut tried, mut found) = (0, 0);
         for x in scattered(&b, 3000, &mut random) {
             let foot = b.closest_point(&x);
             // From the global foot point itself the descent stays.
@@ -189,15 +189,21 @@ fn near_a_good_hint_the_local_foot_point_is_the_global_one() {
                 again.is_some_and(|a| (a.distance - foot.distance).abs() < 1e-11 * b.size()),
                 "{x:?} {foot:?} {again:?}"
             );
-            // A point a little off its foot point, hinted from close by.
-            let y = foot.position + foot.normal * (1e-4 * b.size() * (random.unit() - 0.3));
-            let global = b.closest_point(&y);
-            let walk = b.walk(&foot.location, ParameterDirection::V, 0.02 * (random.unit() - 0.5));
-            if let Some(near) = b.closest_point_near(&y, &walk) {
-                found += usize::from((near.distance - global.distance).abs() < 1e-11 * b.size());
+            // A point a little outside its foot point on a face, hinted from close by. Within thin edges and at poles
+            // the local minimum near the hint may rightly be another one.
+            if foot.feature != Feature::Face {
+                continue;
             }
+            tried += 1;
+            let y = foot.position + foot.normal * (1e-4 * b.size() * random.unit());
+            let global = b.closest_point(&y);
+            let hint = b.walk(&foot.location, ParameterDirection::V, 0.02 * (random.unit() - 0.5));
+            let near = b.closest_point_near(&y, &hint);
+            found += usize::from(
+                near.is_some_and(|near| (near.distance - global.distance).abs() < 1e-11 * b.size()),
+            );
         }
-        assert!(found > 2900, "{found}");
+        assert!(tried > 1000 && 100 * found >= 99 * tried, "{found} of {tried}");
     }
 }
 
