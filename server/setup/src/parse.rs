@@ -72,9 +72,9 @@ fn parse_json<T: DeserializeOwned>(file: &str, prefix: &str, bytes: &[u8]) -> Re
     Ok(value)
 }
 
-/// `prefix.path`, where either may be missing (the path is `.` at the root of a document).
+/// `prefix.path`, where either may be missing (the path is `.` at the root of a document, `?` where none is known).
 fn field_path(prefix: &str, path: &str) -> String {
-    let path = if path == "." { "" } else { path };
+    let path = path.trim_end_matches('?').trim_end_matches('.');
     match (prefix.is_empty(), path.is_empty()) {
         (true, _) => path.into(),
         (false, true) => prefix.into(),
