@@ -51,7 +51,7 @@ fn cells_by_position(mesh: &SurfaceMesh) -> Vec<Vec<[i64; 3]>> {
             .iter()
             .map(|&v| mesh.vertices[v as usize].map(|x| (x * 1e12).round() as i64))
             .collect();
-        let least = (0..corners.len()).min_by_key(|&k| corners[k]).unwrap();
+        let least = (0..corners.len()).min_by_key(|&k| corners[k]).expect("a cell has corners");
         corners.rotate_left(least);
         corners
     };
