@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from moldline.errors import InternalError
 from moldline.v1 import array_pb2
 
-_DTYPES = {
+_DTYPES: dict[int, np.dtype[Any]] = {
     array_pb2.DATA_TYPE_FLOAT64: np.dtype("<f8"),
     array_pb2.DATA_TYPE_UINT32: np.dtype("<u4"),
     array_pb2.DATA_TYPE_UINT8: np.dtype("u1"),
@@ -20,7 +20,8 @@ _DTYPES = {
 def from_wire(array: array_pb2.Array) -> NDArray[Any]:
     """The array itself, read-only and without a copy: its memory is the message's."""
     try:
-        return np.frombuffer(array.data, dtype=_DTYPES[array.dtype]).reshape(tuple(array.shape))
+        flat: NDArray[Any] = np.frombuffer(array.data, dtype=_DTYPES[array.dtype])
+        return flat.reshape(tuple(array.shape))
     except (KeyError, ValueError) as error:
         raise InternalError(f"the server sent an array that contradicts itself: {error}") from None
 

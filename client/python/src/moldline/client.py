@@ -98,8 +98,10 @@ class Client:
 
     def __init__(self, target: str | grpc.Channel = "127.0.0.1:50051", *, timeout: float | None = 600.0) -> None:
         self._own = isinstance(target, str)
-        self._channel = grpc.insecure_channel(target, options=_channel_options()) if self._own else target
-        self._stub = mesh_service_pb2_grpc.MeshServiceStub(self._channel)
+        self._channel: grpc.Channel = (
+            grpc.insecure_channel(target, options=_channel_options()) if isinstance(target, str) else target
+        )
+        self._stub: Any = mesh_service_pb2_grpc.MeshServiceStub(self._channel)
         self._timeout = timeout
 
     def create_setup(
