@@ -116,7 +116,9 @@ pub enum SetupError {
         first: Vec<u32>,
     },
     /// A component owns no cell.
-    #[error("components[{index}] (`{name}`) has no cell of the mesh on it; remove the component or mend the mesh")]
+    #[error(
+        "components[{index}] (`{name}`) has no cell of the mesh on it; remove the component or mend the mesh"
+    )]
     UnusedComponent {
         /// Index of the component.
         index: usize,

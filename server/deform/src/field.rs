@@ -9,18 +9,31 @@ use crate::{
     training::TrainingVertex,
 };
 
+/// The mirror that completes a half model.
+#[derive(Clone, Copy, Debug)]
+pub struct Mirror<'a> {
+    /// The symmetry plane.
+    pub plane: &'a Plane,
+    /// Distance within which a vertex lies in it, m.
+    pub tolerance: f64,
+    /// What it does to a datum, component by component.
+    pub signs: Vector3,
+}
+
 /// A field over one region of the mesh.
 #[derive(Clone, Debug)]
 pub struct Field {
     training: Vec<TrainingVertex>,
     /// Training vertices whose mirror images are centres too: those of a half model that are off its plane.
     images: Vec<u32>,
+    /// What the mirror does to a datum, component by component.
+    mirror_signs: Vector3,
     basis: RadialBasis,
 }
 
 impl Field {
-    /// Factorises the system of a training set. `reference` are the positions of all vertices of the mesh, m. With
-    /// `half_model` the field is that of the whole, mirrored configuration.
+    /// Factorises the system of a training set. `reference` are the positions of all vertices of the mesh, m. With a
+    /// `mirror` the field is that of the whole configuration, of which the mesh is one half.
     ///
     /// # Errors
     /// [`RbfError`] if the training vertices coincide or lie in one plane.
@@ -29,22 +42,27 @@ impl Field {
         reference: &[Vector3],
         kernel: Kernel,
         regularisation: f64,
-        half_model: Option<&Plane>,
-        plane_tolerance: f64,
+        mirror: Option<Mirror<'_>>,
     ) -> Result<Self, RbfError> {
         let at = |t: &TrainingVertex| reference[t.vertex as usize];
         let mut centres: Vec<Vector3> = training.iter().map(at).collect();
         let mut images = Vec::new();
-        if let Some(plane) = half_model {
+        if let Some(Mirror { plane, tolerance, .. }) = mirror {
             for (i, t) in (0u32..).zip(&training) {
                 let x: [f64; 3] = at(t).into();
-                if plane.signed_distance(&x).abs() > plane_tolerance {
+                if plane.signed_distance(&x).abs() > tolerance {
                     images.push(i);
                     centres.push(Vector3::from(plane.mirror(&x)));
                 }
             }
         }
-        Ok(Self { basis: RadialBasis::new(kernel, &centres, regularisation)?, training, images })
+        let mirror_signs = mirror.map_or(Vector3::zeros(), |m| m.signs);
+        Ok(Self {
+            basis: RadialBasis::new(kernel, &centres, regularisation)?,
+            training,
+            images,
+            mirror_signs,
+        })
     }
 
     /// The training vertices.
@@ -70,15 +88,14 @@ impl Field {
             .training
             .iter()
             .map(|t| {
-                let seams: Vector3 = t.seams.iter().map(|&(k, weight)| seam_motion[k as usize] * weight).sum();
+                let seams: Vector3 =
+                    t.seams.iter().map(|&(k, weight)| seam_motion[k as usize] * weight).sum();
                 let alpha = t.alpha();
                 if alpha == 1.0 { seams } else { component_motion(t.vertex) * (1.0 - alpha) + seams }
             })
             .collect();
-        // Half models are symmetric about y = 0.
         for &i in &self.images {
-            let d = data[i as usize];
-            data.push(Vector3::new(d.x, -d.y, d.z));
+            data.push(data[i as usize].component_mul(&self.mirror_signs));
         }
         self.basis.evaluate(&self.basis.fit(&data), points, out);
     }

@@ -9,6 +9,7 @@
 //!
 //! Absent on purpose: files, serialisation, sessions, clocks.
 
+pub mod chart;
 mod error;
 pub mod field;
 pub mod inspection;

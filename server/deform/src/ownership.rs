@@ -229,8 +229,7 @@ fn refuse_off_surface(
     }
     off.par_iter_mut().for_each(|o| {
         let x = Vector3::from(vertices[o.vertex as usize]);
-        o.distance =
-            bodies.iter().map(|b| b.closest_point(&x).distance.abs()).fold(f64::INFINITY, f64::min);
+        o.distance = bodies.iter().map(|b| b.closest_point(&x).distance.abs()).fold(f64::INFINITY, f64::min);
     });
     off.sort_by(|a, b| b.distance.total_cmp(&a.distance).then(a.vertex.cmp(&b.vertex)));
     let count = off.len();

@@ -9,10 +9,12 @@ use rayon::prelude::*;
 
 use crate::{
     DeformError, Monitor, OuterMoldLine, Propagation, Setup, Stage,
+    chart::Chart,
     error::{LISTED, VertexDistance},
     ownership::{Attachment, Freedom},
     projection::{Projected, SmoothProjection},
     seam::SeamPoint,
+    setup::RegionField,
 };
 
 /// A deformed mesh.
@@ -70,7 +72,7 @@ impl Setup {
         go_on(Stage::SeamSearch)?;
         let seams = self.seams.eval(&bodies, monitor)?;
         go_on(Stage::Field)?;
-        let displacements = self.displacements(&seams, &bodies);
+        let displacements = self.displacements(&seams, &bodies)?;
         go_on(Stage::Projection)?;
         let mut placed = self.place(&displacements, &seams, &bodies)?;
         self.smooth(&mut placed, &bodies)?;
@@ -82,7 +84,8 @@ impl Setup {
         let normals = self.inspection.normals(&self.mesh.cells, owners, &vertices, &locations, &bodies);
         let cell_quality = self.inspection.cells(&vertices, &self.mesh.cells, &normals);
         // A set-up has cells, so that there is a report.
-        let quality = self.inspection.report(&cell_quality, owners).unwrap_or_else(|| self.report().quality.clone());
+        let quality =
+            self.inspection.report(&cell_quality, owners).unwrap_or_else(|| self.report().quality.clone());
         monitor.progress(Stage::Quality, 1.0);
         Ok(Deformation {
             vertices,
@@ -97,28 +100,10 @@ impl Setup {
 
     /// Steps B to E: field values at all vertices. `Surface`: departures in the reference state; `Departure`: in the
     /// deformed state; `Absolute`: displacements.
-    fn displacements(&self, seams: &[SeamPoint], bodies: &[Body]) -> Vec<Vector3> {
+    fn displacements(&self, seams: &[SeamPoint], bodies: &[Body]) -> Result<Vec<Vector3>, DeformError> {
         let mut displacements = vec![Vector3::zeros(); self.positions.len()];
         for region in &self.fields {
-            let motion: Vec<Vector3> = self
-                .seams
-                .vertices
-                .iter()
-                .zip(seams)
-                .map(|(seam, point)| {
-                    let start = self.positions[seam.vertex as usize];
-                    let Some(component) = region.component else { return point.position - start };
-                    let Some(k) = seam.owners.iter().position(|&o| o == component) else {
-                        return Vector3::zeros();
-                    };
-                    match self.options.propagation {
-                        Propagation::Surface => {
-                            self.reference[component as usize].position(&point.locations[k]) - start
-                        }
-                        _ => point.position - bodies[component as usize].position(&seam.locations[k]),
-                    }
-                })
-                .collect();
+            let motion = self.seam_motion(region, seams, bodies)?;
             let follow = |v: u32| {
                 let own = &self.ownership.of(v)[0];
                 bodies[own.component as usize].position(&own.location) - self.positions[v as usize]
@@ -132,7 +117,52 @@ impl Setup {
                 displacements[v as usize] = value;
             }
         }
-        displacements
+        Ok(displacements)
+    }
+
+    /// What each seam vertex does in the terms of one field; zero for those outside its region.
+    fn seam_motion(
+        &self,
+        region: &RegionField,
+        seams: &[SeamPoint],
+        bodies: &[Body],
+    ) -> Result<Vec<Vector3>, DeformError> {
+        let tolerance = 1e-12 * self.length;
+        let mut lost = Vec::new();
+        let mut motion = Vec::with_capacity(seams.len());
+        for (seam, point) in self.seams.vertices.iter().zip(seams) {
+            let start = self.positions[seam.vertex as usize];
+            let Some(component) = region.component else {
+                motion.push(point.position - start);
+                continue;
+            };
+            let Some(k) = seam.owners.iter().position(|&o| o == component) else {
+                motion.push(Vector3::zeros());
+                continue;
+            };
+            let reference = &self.reference[component as usize];
+            let (from, to) = (&seam.locations[k], &point.locations[k]);
+            motion.push(match (&region.chart, self.options.propagation) {
+                (Some(chart), _) => match chart.unroll(reference, from, to, tolerance) {
+                    Some([a, b]) => Vector3::new(a, b, 0.0),
+                    None => {
+                        let distance = (reference.position(to) - start).norm();
+                        lost.push(VertexDistance { vertex: seam.vertex, distance });
+                        Vector3::zeros()
+                    }
+                },
+                (None, Propagation::Surface) => reference.position(to) - start,
+                (None, _) => point.position - bodies[component as usize].position(from),
+            });
+        }
+        match (region.component, lost.is_empty()) {
+            (Some(component), false) => Err(DeformError::FootPoint {
+                component: self.components[component as usize].name().to_owned(),
+                count: lost.len(),
+                worst: lost.into_iter().take(LISTED).collect(),
+            }),
+            _ => Ok(motion),
+        }
     }
 
     /// Every vertex onto its component (eq. 17 and the constraints): seam vertices where the search found them.
@@ -179,7 +209,15 @@ impl Setup {
         match self.options.propagation {
             Propagation::Surface => {
                 let reference = &self.reference[own.component as usize];
-                Ok(at(onto(reference, own, &(start + displacement))?.location))
+                let region = self.fields.iter().find(|f| f.component == Some(own.component));
+                match region.map(|r| &r.chart) {
+                    None => Ok(at(own.location)),
+                    Some(None) => Ok(at(onto(reference, own, &(start + displacement))?.location)),
+                    Some(Some(chart)) => {
+                        let departure = free_departure(chart, body, own, displacement);
+                        Ok(at(chart.walk(reference, &own.location, departure)))
+                    }
+                }
             }
             Propagation::Departure => {
                 Ok(placed(onto(body, own, &(body.position(&own.location) + displacement))?))
@@ -305,6 +343,17 @@ impl Setup {
                 })
             }
         }
+    }
+}
+
+/// The departure that a vertex's freedom admits.
+fn free_departure(chart: &Chart, body: &Body, own: &Attachment, displacement: &Vector3) -> [f64; 2] {
+    let departure = [displacement.x, displacement.y];
+    let Freedom::Edge(edge) = own.freedom else { return departure };
+    let sides = &body.component().edges()[edge as usize].sides;
+    match sides.iter().find(|s| s.patch == own.location.patch) {
+        Some(side) => chart.along_edge(&own.location, side, departure),
+        None => [0.0; 2],
     }
 }
 

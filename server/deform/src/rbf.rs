@@ -179,17 +179,9 @@ impl RadialBasis {
             }
         }
         let mut rest = data.get_mut(AFFINE.., ..);
-        let mut memory = MemBuffer::new(llt::solve::solve_in_place_scratch::<f64>(
-            self.count - AFFINE,
-            3,
-            Par::Seq,
-        ));
-        llt::solve::solve_in_place(
-            self.factor.as_ref(),
-            rest.rb_mut(),
-            Par::Seq,
-            MemStack::new(&mut memory),
-        );
+        let mut memory =
+            MemBuffer::new(llt::solve::solve_in_place_scratch::<f64>(self.count - AFFINE, 3, Par::Seq));
+        llt::solve::solve_in_place(self.factor.as_ref(), rest.rb_mut(), Par::Seq, MemStack::new(&mut memory));
         let mut affine = [Vector3::zeros(); AFFINE];
         for axis in 0..3 {
             for k in (0..AFFINE).rev() {
@@ -223,7 +215,9 @@ impl RadialBasis {
                     for (point, out) in points.iter().zip(out) {
                         *out = match self.kernel {
                             Kernel::Linear => self.value(coefficients, point, |squared| -squared.sqrt()),
-                            Kernel::Cubic => self.value(coefficients, point, |squared| squared * squared.sqrt()),
+                            Kernel::Cubic => {
+                                self.value(coefficients, point, |squared| squared * squared.sqrt())
+                            }
                         };
                     }
                 },
@@ -425,10 +419,7 @@ mod tests {
         );
         let mut twice = scattered(20, 7);
         twice.push(twice[3]);
-        assert!(matches!(
-            RadialBasis::new(Kernel::Cubic, &twice, 0.0),
-            Err(RbfError::Coincident { .. })
-        ));
+        assert!(matches!(RadialBasis::new(Kernel::Cubic, &twice, 0.0), Err(RbfError::Coincident { .. })));
     }
 
     #[test]

@@ -45,6 +45,8 @@ pub struct FieldSummary {
     pub training_vertices: usize,
     /// Of them, vertices of seams.
     pub seam_vertices: usize,
+    /// What the field is measured in: `surface parameters` or `space`.
+    pub coordinates: &'static str,
     /// Memory of the factor, bytes.
     pub bytes: usize,
 }
@@ -138,7 +140,10 @@ impl fmt::Display for SetupReport {
             self.against_normal, self.least_normal_agreement
         )?;
         writeln!(f, "tolerance   {:.3e} m (reference length {:.3} m)", self.surface_tolerance, self.length)?;
-        writeln!(f, "components  name               patches  vertices     cells  largest distance   rms [m]")?;
+        writeln!(
+            f,
+            "components  name               patches  vertices     cells  largest distance   rms [m]"
+        )?;
         for c in &self.components {
             writeln!(
                 f,
@@ -176,8 +181,9 @@ impl fmt::Display for SetupReport {
         for field in &self.fields {
             writeln!(
                 f,
-                "field       {}: {} training vertices, {} of them on seams, factor {:.1} MB",
+                "field       {}: in {}, {} training vertices, {} of them on seams, factor {:.1} MB",
                 field.region,
+                field.coordinates,
                 field.training_vertices,
                 field.seam_vertices,
                 field.bytes as f64 / 1e6

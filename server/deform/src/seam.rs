@@ -257,7 +257,11 @@ impl SeamSolver {
             bound = residual.g.abs() + 4.0 * residual.speed * (next - lambda).abs();
             lambda = next;
         }
-        if best.0 > tolerance { Err(best.0) } else { Ok(self.found(vertex, line.reference, at(best.1), bodies)) }
+        if best.0 > tolerance {
+            Err(best.0)
+        } else {
+            Ok(self.found(vertex, line.reference, at(best.1), bodies))
+        }
     }
 
     /// The start of a line, its held parameter shifted with the junctions at the ends of the seam.
@@ -290,11 +294,7 @@ impl SeamSolver {
     }
 
     /// A bracket with a change of sign: the stored one, or, searched outward from it, the nearest one along the line.
-    fn bracket(
-        &self,
-        line: &SeamLine,
-        g: &impl Fn(f64, f64) -> Residual,
-    ) -> Result<([f64; 2], f64), f64> {
+    fn bracket(&self, line: &SeamLine, g: &impl Fn(f64, f64) -> Residual) -> Result<([f64; 2], f64), f64> {
         let [mut l, mut u] = line.bracket;
         let (mut g_l, mut g_u) = (g(l, f64::INFINITY).g, g(u, f64::INFINITY).g);
         let step = WIDENING * (line.limits[1] - line.limits[0]);
@@ -354,7 +354,11 @@ impl SeamSolver {
             }
         }
         let residual = g[0].abs().max(g[1].abs());
-        if residual > tolerance { Err(residual) } else { Ok(self.found(vertex, junction.reference, at, bodies)) }
+        if residual > tolerance {
+            Err(residual)
+        } else {
+            Ok(self.found(vertex, junction.reference, at, bodies))
+        }
     }
 
     /// Parameters on every owner of a point found on its reference component.

@@ -64,8 +64,7 @@ pub fn seam_solver(
 ) -> Result<(SeamSolver, Vec<SeamSummary>), SetupError> {
     let seam_vertices: Vec<u32> =
         (0..ownership.vertex_count() as u32).filter(|&v| ownership.is_seam(v)).collect();
-    let junctions: Vec<u32> =
-        seam_vertices.iter().copied().filter(|&v| ownership.of(v).len() > 2).collect();
+    let junctions: Vec<u32> = seam_vertices.iter().copied().filter(|&v| ownership.of(v).len() > 2).collect();
     let index_of: HashMap<u32, u32> = (0u32..).zip(&seam_vertices).map(|(i, &v)| (v, i)).collect();
 
     let mut lines: HashMap<u32, (SeamLine, f64)> = HashMap::new();
@@ -151,8 +150,7 @@ fn row_lines(
         .map(|&v| choices.iter().map(|&choice| transversality(v, choice, ownership, bodies)).collect())
         .collect();
     let worst = |k: usize| table.iter().map(|t| t[k]).filter(|t| *t >= 0.0).fold(f64::INFINITY, f64::min);
-    let best_of_row =
-        (0..choices.len()).fold(0, |best, k| if worst(k) > worst(best) { k } else { best });
+    let best_of_row = (0..choices.len()).fold(0, |best, k| if worst(k) > worst(best) { k } else { best });
     row.par_iter()
         .zip(&table)
         .map(|(&vertex, scores)| {
@@ -183,10 +181,8 @@ fn transversality(vertex: u32, choice: Choice, ownership: &Ownership, bodies: &[
     match own.freedom {
         Freedom::Fixed => return -1.0,
         Freedom::Edge(edge) => {
-            let side = body.component().edges()[edge as usize]
-                .sides
-                .iter()
-                .find(|s| s.patch == own.location.patch);
+            let side =
+                body.component().edges()[edge as usize].sides.iter().find(|s| s.patch == own.location.patch);
             if side.is_some_and(|s| s.side.holds_u() != choice.along_v) {
                 return -1.0;
             }
@@ -264,9 +260,8 @@ fn carried(
     vertices: &[[f64; 3]],
     index_of: &HashMap<u32, u32>,
 ) -> Vec<Vec<(u32, f64)>> {
-    let touches = |j: u32| {
-        topology.vertex_neighbours.row(j as usize).iter().any(|n| row.binary_search(n).is_ok())
-    };
+    let touches =
+        |j: u32| topology.vertex_neighbours.row(j as usize).iter().any(|n| row.binary_search(n).is_ok());
     let ends: Vec<u32> = junctions.iter().copied().filter(|&j| touches(j)).collect();
     let distances: Vec<Vec<f64>> = ends
         .iter()
@@ -326,17 +321,10 @@ fn junction(vertex: u32, ownership: &Ownership, bodies: &[Body]) -> Result<Junct
     }
 }
 
-fn summary(
-    row: &[u32],
-    ownership: &Ownership,
-    bodies: &[Body],
-    lines: &[(SeamLine, f64)],
-) -> SeamSummary {
+fn summary(row: &[u32], ownership: &Ownership, bodies: &[Body], lines: &[(SeamLine, f64)]) -> SeamSummary {
     let name = |c: u32| bodies[c as usize].component().name().to_owned();
-    let widths: Vec<f64> = lines
-        .iter()
-        .map(|(l, _)| (l.bracket[1] - l.bracket[0]) / (l.limits[1] - l.limits[0]))
-        .collect();
+    let widths: Vec<f64> =
+        lines.iter().map(|(l, _)| (l.bracket[1] - l.bracket[0]) / (l.limits[1] - l.limits[0])).collect();
     SeamSummary {
         components: ownership.of(row[0]).iter().map(|a| name(a.component)).collect(),
         vertices: row.len(),

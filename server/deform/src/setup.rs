@@ -12,7 +12,8 @@ use rayon::prelude::*;
 
 use crate::{
     DeformError, Monitor, Options, Propagation, SetupError, Stage,
-    field::Field,
+    chart::Chart,
+    field::{Field, Mirror},
     inspection::{Inspection, area_vector},
     ownership::{Freedom, Ownership},
     report::{ComponentSummary, FieldSummary, ProtectedSummary, SetupReport, Symmetry},
@@ -39,6 +40,8 @@ pub struct SetupInput {
 pub(crate) struct RegionField {
     /// The component moved; `None`: all of them.
     pub component: Option<u32>,
+    /// Surface coordinates in which departures are measured; `None`: they are vectors in space.
+    pub chart: Option<Chart>,
     pub field: Field,
     /// Vertices moved: all of the region that are neither on a seam nor fixed.
     pub vertices: Vec<u32>,
@@ -53,6 +56,7 @@ impl RegionField {
             region: self.component.map_or_else(|| "all".to_owned(), |c| names[c as usize].clone()),
             training_vertices: training.len(),
             seam_vertices: training.iter().filter(|t| t.alpha() == 1.0).count(),
+            coordinates: if self.chart.is_some() { "surface parameters" } else { "space" },
             bytes: self.field.bytes(),
         }
     }
@@ -146,6 +150,7 @@ impl Setup {
             topology: &topology,
             ownership: &ownership,
             seams: &seams,
+            reference: &reference,
             positions: &positions,
             mirror: mirror.as_deref(),
             half: half_plane,
@@ -340,7 +345,8 @@ fn symmetry(
     }
     let side = |sign: f64| mesh.vertices.iter().all(|x| sign * plane.signed_distance(x) >= -tolerance);
     let border_in_plane = !topology.boundary_edges.is_empty()
-        && topology.open_edges(&mesh.vertices, Some((plane, tolerance))).len() < topology.boundary_edges.len();
+        && topology.open_edges(&mesh.vertices, Some((plane, tolerance))).len()
+            < topology.boundary_edges.len();
     if border_in_plane && (side(1.0) || side(-1.0)) {
         return Ok((Symmetry::Half, None));
     }
@@ -408,6 +414,7 @@ struct Fields<'a> {
     topology: &'a Topology,
     ownership: &'a Ownership,
     seams: &'a SeamSolver,
+    reference: &'a [Body],
     positions: &'a [Vector3],
     mirror: Option<&'a [u32]>,
     half: Option<(&'a Plane, f64)>,
@@ -450,28 +457,56 @@ impl Fields<'_> {
             if training.is_empty() {
                 continue;
             }
-            let (plane, plane_tolerance) = self.half.map_or((None, 0.0), |(plane, t)| (Some(plane), t));
-            let field = Field::new(
-                training,
-                self.positions,
-                self.options.kernel(),
-                self.options.regularisation,
-                plane,
-                plane_tolerance,
-            )
-            .map_err(|error| SetupError::Factorisation {
-                field: component.map_or("the whole mesh".into(), |c| self.names[c as usize].clone()),
-                reason: error.to_string(),
-            })?;
-            let moved = members.filter(|&v| {
-                matches!(self.ownership.of(v), [only] if only.freedom != Freedom::Fixed)
-            });
+            let chart = component
+                .filter(|_| self.options.propagation == Propagation::Surface)
+                .and_then(|c| self.chart(c, &region.departing()));
+            let mirror = self.mirror_of(component, chart.as_ref());
+            let kernel = self.options.kernel();
+            let field = Field::new(training, self.positions, kernel, self.options.regularisation, mirror)
+                .map_err(|error| SetupError::Factorisation {
+                    field: component.map_or("the whole mesh".into(), |c| self.names[c as usize].clone()),
+                    reason: error.to_string(),
+                })?;
+            let moved =
+                members.filter(|&v| matches!(self.ownership.of(v), [only] if only.freedom != Freedom::Fixed));
             let vertices: Vec<u32> = moved.collect();
             let points = vertices.iter().map(|&v| self.positions[v as usize]).collect();
-            fields.push(RegionField { component, field, vertices, points });
+            fields.push(RegionField { component, chart, field, vertices, points });
             monitor.progress(Stage::Factorisation, (done + 1) as f64 / regions.len() as f64);
         }
         Ok(fields)
+    }
+
+    /// Surface coordinates over the patches on which something departs.
+    fn chart(&self, component: u32, departing: &[bool]) -> Option<Chart> {
+        let body = &self.reference[component as usize];
+        let mut used = vec![false; body.component().patches().len()];
+        for v in (0..self.positions.len() as u32).filter(|&v| departing[v as usize]) {
+            if let Some(own) = self.ownership.on(v, component) {
+                used[own.location.patch as usize] = true;
+            }
+        }
+        Chart::new(body, &used)
+    }
+
+    /// The mirror of a half model, for regions that reach its plane.
+    fn mirror_of(&self, component: Option<u32>, chart: Option<&Chart>) -> Option<Mirror<'_>> {
+        let (plane, tolerance) = self.half?;
+        let on = |v: u32| component.is_none_or(|c| self.ownership.on(v, c).is_some());
+        let in_plane = |v: u32| plane.signed_distance(&self.mesh.vertices[v as usize]).abs() <= tolerance;
+        if !(0..self.positions.len() as u32).any(|v| on(v) && in_plane(v)) {
+            return None;
+        }
+        let signs = match (chart, component) {
+            (Some(chart), Some(c)) => {
+                let seam = self.seams.vertices.iter().find_map(|s| self.ownership.on(s.vertex, c));
+                let location = seam.map(|a| a.location)?;
+                let [a, b] = chart.mirror_signs(&self.reference[c as usize], &location, plane);
+                Vector3::new(a, b, 0.0)
+            }
+            _ => Vector3::new(1.0, -1.0, 1.0),
+        };
+        Some(Mirror { plane, tolerance, signs })
     }
 
     fn blend_radius(&self, component: Option<u32>) -> f64 {

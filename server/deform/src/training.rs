@@ -70,6 +70,12 @@ impl Region<'_> {
         (distance, self.blend_radius * farthest)
     }
 
+    /// Whether each vertex is within the blending radius of a seam of the region, and so may depart from its component.
+    pub fn departing(&self) -> Vec<bool> {
+        let (distance, radius) = self.seam_distance(&self.seams());
+        distance.iter().map(|d| *d < radius).collect()
+    }
+
     /// Training set of a departure: the seam vertices, which carry it, and vertices beyond the blending radius, which do
     /// not depart. In between the field interpolates. Empty if the region has no seam.
     pub fn departure_set(&self, count: usize) -> Vec<TrainingVertex> {
@@ -150,8 +156,10 @@ impl Region<'_> {
             }
             // The farthest of the nearest has weight zero, so that it can be replaced without a jump.
             let reach = if near.len() == NEAREST_SEAMS { last } else { f64::INFINITY };
-            let raw: Vec<f64> =
-                near.iter().map(|&(_, d)| if reach > d { (1.0 - d / reach).powi(2) / d.powi(2) } else { 0.0 }).collect();
+            let raw: Vec<f64> = near
+                .iter()
+                .map(|&(_, d)| if reach > d { (1.0 - d / reach).powi(2) / d.powi(2) } else { 0.0 })
+                .collect();
             let total: f64 = raw.iter().sum();
             if !(total > 0.0 && total.is_finite()) {
                 return vec![(seam_at[&near[0].0], alpha)];
@@ -217,8 +225,7 @@ mod tests {
     /// A strip of `n` unit quads along x; vertices `2 i` at y = 0 and `2 i + 1` at y = 1.
     fn strip(n: u32) -> (Vec<[f64; 3]>, Topology) {
         let vertices = (0..=n).flat_map(|i| [[f64::from(i), 0.0, 0.0], [f64::from(i), 1.0, 0.0]]).collect();
-        let cells: Vec<Cell> =
-            (0..n).map(|i| Cell::quad(2 * i, 2 * i + 2, 2 * i + 3, 2 * i + 1)).collect();
+        let cells: Vec<Cell> = (0..n).map(|i| Cell::quad(2 * i, 2 * i + 2, 2 * i + 3, 2 * i + 1)).collect();
         let topology = Topology::of_cells(2 * (n as usize + 1), &cells);
         (vertices, topology)
     }
