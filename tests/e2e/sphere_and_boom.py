@@ -95,7 +95,8 @@ def write(
     vertices, cells = mesh(rings, length)
     change(content, vertices, cells)
     (folder / "setup.json").write_text(json.dumps(content))
-    (folder / "mesh.msh").write_text(_msh(vertices, cells))
+    if "file" in content["mesh"]:
+        (folder / "mesh.msh").write_text(_msh(vertices, cells))
     return folder
 
 

@@ -86,7 +86,7 @@ def test_the_command_line_gives_the_servers_bytes(
     assert local.points.tobytes() == served.vertices.tobytes()
     owner = np.concatenate(local.cell_data["owner"])
     assert len(owner) == setup.cell_count
-    assert local.point_data["seam"].astype(bool).tolist() == setup.mesh.seam.tolist()
+    assert local.point_data["seam"].ravel().astype(bool).tolist() == setup.mesh.seam.tolist()
     aspect_ratio = np.concatenate(local.cell_data["aspect_ratio"])
     assert sorted(aspect_ratio) == sorted(served.cell_quality["aspect_ratio"])
 

@@ -7,14 +7,17 @@ use std::{
     time::Duration,
 };
 
-use moldline_service::{Code, Design, Limits, PoolLimits, Service, ServiceError, Values};
+use moldline_service::{
+    Code, Design, FileEntry, Limits, PoolLimits, Service, ServiceError, Upload, UploadHeader, UploadSource,
+    Uploaded, Values,
+};
 
 fn service(threads: usize, limits: Limits) -> Service {
     Service::new(PoolLimits { threads, running: threads, queued: 16 }, limits).unwrap()
 }
 
 async fn create(service: &Service, title: &str) -> Result<String, ServiceError> {
-    let created = service.create_setup(ball::uploaded("", &ball::setup_file(title)), |_| {}).await?;
+    let created = service.create_setup(uploaded("", &ball::setup_file(title)), |_| {}).await?;
     Ok(created.setup.id.to_string())
 }
 
@@ -22,20 +25,34 @@ fn moved(x: f64) -> Design {
     Design { values: Values::Vector(vec![x]), control_points: Vec::new() }
 }
 
+/// The header of an upload of one set-up file.
+fn header(request_id: &str, file: &str) -> UploadHeader {
+    let entry = FileEntry { path: "setup.json".to_owned(), size: file.len() as u64 };
+    let source = UploadSource::Files(vec![entry]);
+    UploadHeader { request_id: request_id.to_owned(), setup_file: None, source }
+}
+
+/// The upload of one set-up file.
+fn uploaded(request_id: &str, file: &str) -> Uploaded {
+    let limits = Limits::default();
+    let mut upload = Upload::begin(header(request_id, file), &limits).unwrap();
+    upload.append(0, file.as_bytes(), &limits).unwrap();
+    upload.finish().unwrap()
+}
+
 #[tokio::test]
 async fn a_set_up_is_built_once_and_told_in_order() {
     let service = service(2, Limits::default());
     let file = ball::setup_file("ball");
     let mut stages = Vec::new();
-    let first =
-        service.create_setup(ball::uploaded("", &file), |step| stages.push(step.stage)).await.unwrap();
+    let first = service.create_setup(uploaded("", &file), |step| stages.push(step.stage)).await.unwrap();
     stages.dedup();
     assert!(first.built);
     assert_eq!(first.setup.name, "ball");
     assert_eq!(stages[..2], ["read", "mesh"]);
     assert_eq!(stages.last(), Some(&"report"));
 
-    let again = service.create_setup(ball::uploaded("", &file), |_| {}).await.unwrap();
+    let again = service.create_setup(uploaded("", &file), |_| {}).await.unwrap();
     assert!(!again.built);
     assert!(Arc::ptr_eq(&first.setup, &again.setup), "memory is shared");
     assert_ne!(create(&service, "another").await.unwrap(), first.setup.id.as_str());
@@ -47,7 +64,7 @@ async fn all_who_ask_at_the_same_time_get_one_build() {
     let file = ball::setup_file("ball");
     let builds = (0..8).map(|_| {
         let (service, file) = (Arc::clone(&service), file.clone());
-        tokio::spawn(async move { service.create_setup(ball::uploaded("", &file), |_| {}).await.unwrap() })
+        tokio::spawn(async move { service.create_setup(uploaded("", &file), |_| {}).await.unwrap() })
     });
     let mut built = 0;
     let mut ids = Vec::new();
@@ -67,9 +84,7 @@ async fn giving_up_on_a_build_leaves_nothing_behind() {
     let told = Arc::new(Mutex::new(0));
     let build = tokio::spawn({
         let (service, file, told) = (Arc::clone(&service), file.clone(), Arc::clone(&told));
-        async move {
-            service.create_setup(ball::uploaded("", &file), |_| *told.lock().unwrap() += 1).await.map(drop)
-        }
+        async move { service.create_setup(uploaded("", &file), |_| *told.lock().unwrap() += 1).await.map(drop) }
     });
     while *told.lock().unwrap() == 0 {
         tokio::task::yield_now().await;
@@ -177,7 +192,7 @@ async fn sessions_have_a_limit_and_request_ids() {
 #[tokio::test]
 async fn a_request_id_names_one_upload() {
     let service = service(1, Limits::default());
-    let upload = |title| ball::uploaded("id", &ball::setup_file(title));
+    let upload = |title| uploaded("id", &ball::setup_file(title));
     let first = service.create_setup(upload("ball"), |_| {}).await.unwrap();
     let retry = service.create_setup(upload("ball"), |_| {}).await.unwrap();
     assert_eq!(first.setup.id, retry.setup.id);
@@ -189,10 +204,10 @@ async fn a_request_id_names_one_upload() {
 async fn uploads_at_a_time_have_a_limit() {
     let service = service(1, Limits { uploads: 1, ..Limits::default() });
     let file = ball::setup_file("ball");
-    let receiving = service.receive(ball::header("", &file)).unwrap();
-    let error = service.receive(ball::header("", &file)).unwrap_err();
+    let receiving = service.receive(header("", &file)).unwrap();
+    let error = service.receive(header("", &file)).unwrap_err();
     assert_eq!(error.code, Code::ResourceExhausted);
     assert!(error.retry_after.is_some());
     drop(receiving);
-    assert!(service.receive(ball::header("", &file)).is_ok());
+    assert!(service.receive(header("", &file)).is_ok());
 }

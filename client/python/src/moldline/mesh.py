@@ -79,7 +79,7 @@ def write_vtu(
         f"{''.join(body)}</Piece>\n</UnstructuredGrid>\n"
         '<AppendedData encoding="raw">_'
     )
-    tail = "</AppendedData>\n</VTKFile>\n"
+    tail = "\n</AppendedData>\n</VTKFile>\n"
     Path(path).write_bytes(b"".join([head.encode(), *blocks.data, tail.encode()]))
 
 

@@ -2,8 +2,6 @@
 
 use std::collections::HashMap;
 
-use moldline_service::{FileEntry, Limits, Upload, UploadHeader, UploadSource, Uploaded};
-
 /// Cells along an edge of the cube.
 const CELLS: usize = 6;
 
@@ -26,21 +24,6 @@ pub fn setup_file(title: &str) -> String {
             }}
         }}"#
     )
-}
-
-/// The header of an upload of one set-up file.
-pub fn header(request_id: &str, file: &str) -> UploadHeader {
-    let entry = FileEntry { path: "setup.json".to_owned(), size: file.len() as u64 };
-    let source = UploadSource::Files(vec![entry]);
-    UploadHeader { request_id: request_id.to_owned(), setup_file: None, source }
-}
-
-/// The upload of one set-up file.
-pub fn uploaded(request_id: &str, file: &str) -> Uploaded {
-    let limits = Limits::default();
-    let mut upload = Upload::begin(header(request_id, file), &limits).unwrap();
-    upload.append(0, file.as_bytes(), &limits).unwrap();
-    upload.finish().unwrap()
 }
 
 fn inflated_cube() -> (Vec<[f64; 3]>, Vec<[usize; 4]>) {
