@@ -26,8 +26,8 @@ pub enum Command {
     Deform(Deform),
     /// Build a set-up on this machine and print what was found
     Setup(Setup),
-    /// Print the JSON Schema of set-up files
-    Schema,
+    /// Print the JSON Schema of set-up or geometry files
+    Schema(Schema),
 }
 
 /// Where logs go and how they look.
@@ -165,6 +165,23 @@ pub struct Setup {
     /// Print the report as JSON
     #[arg(long)]
     pub json: bool,
+}
+
+/// Options of `moldline schema`.
+#[derive(Debug, Args)]
+pub struct Schema {
+    /// Of which document
+    #[arg(default_value = "setup")]
+    pub document: Document,
+}
+
+/// Documents of the set-up format.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum Document {
+    /// `setup.toml` and `setup.json`
+    Setup,
+    /// Geometry files
+    Geometry,
 }
 
 #[cfg(test)]

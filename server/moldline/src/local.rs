@@ -2,7 +2,8 @@
 
 use std::{
     collections::BTreeMap,
-    fs, io,
+    fmt, fs,
+    io::{self, Write},
     path::{Path, PathBuf},
 };
 
@@ -16,7 +17,7 @@ use moldline_setup::{ArchiveKind, Files, Limits, SetupFileError, read_folder, re
 
 use crate::{
     bar::Bar,
-    config::{self, Source},
+    config::{self, Document, Source},
     serve::ServeError,
 };
 
@@ -61,12 +62,12 @@ pub fn deform(options: &config::Deform) -> Result<(), Failure> {
     let deformation = pool.install(|| with_bar(|monitor| setup.deform(&design, monitor)))?;
 
     write(&options.output, &vtu_of(&setup, &deformation))?;
-    println!("{}", deformation.quality);
-    println!("wrote {}", options.output.display());
+    say(&deformation.quality)?;
+    say(&format_args!("wrote {}", options.output.display()))?;
     if let Some(path) = &options.report {
         let report = report(&setup, &design, &deformation);
         write(path, format!("{report:#}\n").as_bytes())?;
-        println!("wrote {}", path.display());
+        say(&format_args!("wrote {}", path.display()))?;
     }
     Ok(())
 }
@@ -75,17 +76,27 @@ pub fn deform(options: &config::Deform) -> Result<(), Failure> {
 pub fn setup(options: &config::Setup) -> Result<(), Failure> {
     let setup = pool(&options.source)?.install(|| build(&options.source))?;
     if options.json {
-        println!("{:#}", moldline_setup::report_json(setup.report()));
+        say(&format_args!("{:#}", moldline_setup::report_json(setup.report())))
     } else {
-        println!("{}", setup.report());
+        say(setup.report())
     }
-    Ok(())
 }
 
 /// `moldline schema`
-pub fn schema() -> Result<(), Failure> {
-    println!("{:#}", moldline_setup::setup_schema());
-    Ok(())
+pub fn schema(options: &config::Schema) -> Result<(), Failure> {
+    let schema = match options.document {
+        Document::Setup => moldline_setup::setup_schema(),
+        Document::Geometry => moldline_setup::geometry_schema(),
+    };
+    say(&format_args!("{schema:#}"))
+}
+
+/// Prints a line of results. A reader that has seen enough is no failure.
+fn say(line: &dyn fmt::Display) -> Result<(), Failure> {
+    match writeln!(io::stdout().lock(), "{line}") {
+        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(Failure::Output(error)),
+        _ => Ok(()),
+    }
 }
 
 fn pool(source: &Source) -> Result<rayon::ThreadPool, Failure> {

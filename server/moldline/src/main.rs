@@ -21,7 +21,7 @@ fn main() -> ExitCode {
         Command::Serve(options) => serve::run(&options),
         Command::Deform(options) => local::deform(&options),
         Command::Setup(options) => local::setup(&options),
-        Command::Schema => local::schema(),
+        Command::Schema(options) => local::schema(&options),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,

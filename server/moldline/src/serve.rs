@@ -60,6 +60,8 @@ async fn serve(options: &Serve, service: Arc<Service>) -> Result<(), ServeError>
     let address = listener.local_addr()?;
     let (router, health) = grpc::router(Arc::clone(&service), options.max_message << 20).await?;
 
+    // Before anyone learns of the server: who knows its address may already ask it to stop.
+    let mut signals = shutdown::Signals::catch()?;
     announce(address, options)?;
     let (close, closed) = oneshot::channel::<()>();
     // Small messages leave at once: without it answers wait for the acknowledgement of the one before.
@@ -69,7 +71,7 @@ async fn serve(options: &Serve, service: Arc<Service>) -> Result<(), ServeError>
     }));
 
     tokio::select! {
-        () = shutdown::requested() => {}
+        () = signals.requested() => {}
         ended = &mut server => return flatten(ended),
     }
     tracing::info!(running = service.load(), "asked to stop: finishing what runs");

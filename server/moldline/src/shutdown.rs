@@ -1,35 +1,48 @@
 //! The end: who asks for it, and how long what runs may take.
 
-use std::{future::pending, time::Duration};
+use std::{io, time::Duration};
 
 use moldline_service::Service;
 use tokio::{signal, time};
 
-/// Waits for SIGTERM or Ctrl-C.
-pub async fn requested() {
-    let interrupt = async {
-        if let Err(error) = signal::ctrl_c().await {
-            tracing::error!(%error, "cannot listen for ctrl-c");
-            pending::<()>().await;
+/// SIGTERM and Ctrl-C, caught from the moment this exists.
+#[cfg(unix)]
+pub struct Signals {
+    interrupt: signal::unix::Signal,
+    terminate: signal::unix::Signal,
+}
+
+#[cfg(unix)]
+impl Signals {
+    /// Catches them.
+    pub fn catch() -> io::Result<Self> {
+        use signal::unix::{SignalKind, signal};
+        Ok(Self { interrupt: signal(SignalKind::interrupt())?, terminate: signal(SignalKind::terminate())? })
+    }
+
+    /// Waits for either.
+    pub async fn requested(&mut self) {
+        tokio::select! {
+            _ = self.interrupt.recv() => {}
+            _ = self.terminate.recv() => {}
         }
-    };
-    #[cfg(unix)]
-    let terminate = async {
-        match signal::unix::signal(signal::unix::SignalKind::terminate()) {
-            Ok(mut stream) => {
-                stream.recv().await;
-            }
-            Err(error) => {
-                tracing::error!(%error, "cannot listen for SIGTERM");
-                pending::<()>().await;
-            }
-        }
-    };
-    #[cfg(not(unix))]
-    let terminate = pending::<()>();
-    tokio::select! {
-        () = interrupt => {}
-        () = terminate => {}
+    }
+}
+
+/// Ctrl-C, caught from the moment this exists.
+#[cfg(windows)]
+pub struct Signals(signal::windows::CtrlC);
+
+#[cfg(windows)]
+impl Signals {
+    /// Catches it.
+    pub fn catch() -> io::Result<Self> {
+        Ok(Self(signal::windows::ctrl_c()?))
+    }
+
+    /// Waits for it.
+    pub async fn requested(&mut self) {
+        self.0.recv().await;
     }
 }
 

@@ -15,8 +15,6 @@ pub enum Code {
     FailedPrecondition,
     /// The service is full; later it may not be.
     ResourceExhausted,
-    /// More than one message may carry.
-    OutOfRange,
     /// The caller went away.
     Cancelled,
     /// A fault of the service.
@@ -32,7 +30,6 @@ impl Code {
             Self::AlreadyExists => "ALREADY_EXISTS",
             Self::FailedPrecondition => "FAILED_PRECONDITION",
             Self::ResourceExhausted => "RESOURCE_EXHAUSTED",
-            Self::OutOfRange => "OUT_OF_RANGE",
             Self::Cancelled => "CANCELLED",
             Self::Internal => "INTERNAL",
         }

@@ -173,7 +173,7 @@ mod tests {
         let (release, blocked) = mpsc::channel::<()>();
         let running = tokio::spawn({
             let pool = Arc::clone(&pool);
-            async move { pool.run(move |_| Ok(blocked.recv().unwrap())).await }
+            async move { pool.run(move |_| blocked.recv().map_err(|_| gone())).await }
         });
         let waiting = tokio::spawn({
             let pool = Arc::clone(&pool);
@@ -212,7 +212,7 @@ mod tests {
         let ran = Arc::new(AtomicBool::new(false));
         let waiting = tokio::spawn({
             let (pool, ran) = (Arc::clone(&pool), Arc::clone(&ran));
-            async move { pool.run(move |_| Ok(ran.store(true, Ordering::SeqCst))).await }
+            async move { pool.run(move |_| Ok(ran.swap(true, Ordering::SeqCst))).await }
         });
         while pool.load() < 2 {
             tokio::task::yield_now().await;

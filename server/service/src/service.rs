@@ -218,14 +218,6 @@ impl Service {
         self.sessions.close(id)
     }
 
-    /// The set-up of a session.
-    ///
-    /// # Errors
-    /// `NotFound`.
-    pub fn session_setup(&self, id: &str) -> Result<Arc<StoredSetup>, ServiceError> {
-        self.sessions.setup(id)
-    }
-
     /// Deforms the session's mesh. The same set-up and design give the same bits, whoever asks, whenever.
     ///
     /// # Errors

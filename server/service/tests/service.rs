@@ -1,4 +1,5 @@
 //! The service on the real engine, without a transport.
+#![allow(clippy::unwrap_used, reason = "helpers of tests are tests")]
 
 mod ball;
 
