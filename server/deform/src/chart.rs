@@ -26,71 +26,85 @@ struct PatchMap {
 /// Surface coordinates of one component.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Chart {
-    maps: Vec<PatchMap>,
+    /// Patches whose parameters cannot be brought to agree with the others' (a wing's tip caps) have no map: nothing
+    /// departs there.
+    maps: Vec<Option<PatchMap>>,
     /// Lengths of the parameter ranges of patches that are closed in themselves, per patch and parameter.
     periods: Vec<[Option<f64>; 2]>,
 }
 
+/// Two patches that meet along an edge.
+#[derive(Clone, Copy)]
+struct Join {
+    here: EdgeSide,
+    there: EdgeSide,
+    smooth: bool,
+}
+
 impl Chart {
-    /// The chart over the `used` patches of a component in its reference state; `None` if their parameters cannot be brought
-    /// to agree (the six faces of a box).
-    pub fn new(body: &Body, used: &[bool]) -> Option<Self> {
-        let patches = body.component().patches().len();
+    /// The chart of a component in its reference state. It covers all `required` patches and as many others as agree; `None`
+    /// if the required ones do not (the six faces of a box).
+    pub fn new(body: &Body, required: &[bool]) -> Option<Self> {
+        let component = body.component();
+        let mut joins: Vec<Join> = Vec::new();
+        for edge in component.edges().iter().filter(|e| !e.collapsed) {
+            if let [here, there] = edge.sides[..] {
+                joins.push(Join { here, there, smooth: !edge.sharp });
+                joins.push(Join { here: there, there: here, smooth: !edge.sharp });
+            }
+        }
+        let patches = component.patches().len();
         let mut maps: Vec<Option<PatchMap>> = vec![None; patches];
-        let mut periods = vec![[None; 2]; patches];
-        let joins: Vec<(EdgeSide, EdgeSide)> = body
-            .component()
-            .edges()
-            .iter()
-            .filter(|e| !e.collapsed)
-            .filter_map(|e| match e.sides[..] {
-                [a, b] if used[a.patch as usize] && used[b.patch as usize] => Some((a, b)),
-                _ => None,
-            })
-            .collect();
-        for first in 0..patches {
-            if maps[first].is_some() {
-                continue;
-            }
-            maps[first] = Some(PatchMap { axis: [0, 1], scale: [1.0, 1.0] });
-            let mut front = vec![first];
-            while let Some(p) = front.pop() {
-                let Some(map) = maps[p] else { continue };
-                for (a, b) in joins.iter().flat_map(|&(a, b)| [(a, b), (b, a)]) {
-                    let q = b.patch as usize;
-                    if a.patch as usize == p && maps[q].is_none() {
-                        maps[q] = Some(carry(body, map, &a, &b)?.0);
-                        front.push(q);
-                    }
+        let mut refused = vec![false; patches];
+        let first = required.iter().position(|r| *r)?;
+        maps[first] = Some(PatchMap { axis: [0, 1], scale: [1.0, 1.0] });
+        // Over smooth edges first: over a sharp one nothing moves, so that it matters less how it is continued.
+        loop {
+            let next = joins
+                .iter()
+                .filter(|j| maps[j.here.patch as usize].is_some())
+                .filter(|j| maps[j.there.patch as usize].is_none() && !refused[j.there.patch as usize])
+                .max_by_key(|j| {
+                    (j.smooth, required[j.there.patch as usize], std::cmp::Reverse(j.there.patch))
+                });
+            let Some(join) = next else { break };
+            let patch = join.there.patch as usize;
+            let map =
+                maps[join.here.patch as usize].and_then(|map| carry(body, map, &join.here, &join.there));
+            maps[patch] = map.map(|(map, _)| map);
+            let agrees = joins.iter().filter(|j| j.there.patch as usize == patch).all(|j| {
+                match (maps[j.here.patch as usize], maps[patch]) {
+                    (Some(from), Some(to)) => agree(body, from, to, j),
+                    (None, _) => true,
+                    _ => false,
                 }
+            });
+            if !agrees {
+                maps[patch] = None;
+                refused[patch] = true;
             }
         }
-        let maps: Vec<PatchMap> = maps.into_iter().collect::<Option<_>>()?;
-        for (a, b) in &joins {
-            let (expected, along) = carry(body, maps[a.patch as usize], a, b)?;
-            let found = maps[b.patch as usize];
-            let agree = |k: usize| {
-                let ratio = found.scale[k] / expected.scale[k];
-                let tolerance = if k == along { SAME_SCALE } else { f64::INFINITY };
-                found.axis[k] == expected.axis[k] && ratio > 0.0 && (ratio - 1.0).abs() <= tolerance
-            };
-            if !(agree(0) && agree(1)) {
-                return None;
-            }
-            if a.patch == b.patch && a.side != b.side && a.side.holds_u() == b.side.holds_u() {
-                let axis = usize::from(!a.side.holds_u());
-                let (low, high) = body.component().patches()[a.patch as usize].surface.domain()[axis];
-                periods[a.patch as usize][axis] = Some(high - low);
+        let itself = joins.iter().filter(|j| j.here.patch == j.there.patch);
+        let mut periods = vec![[None; 2]; patches];
+        for join in itself {
+            let patch = join.here.patch as usize;
+            if maps[patch].is_some_and(|map| !agree(body, map, map, join)) {
+                maps[patch] = None;
+            } else if join.here.side != join.there.side {
+                let axis = usize::from(!join.here.side.holds_u());
+                let (low, high) = component.patches()[patch].surface.domain()[axis];
+                periods[patch][axis] = Some(high - low);
             }
         }
-        Some(Self { maps, periods })
+        let covered = required.iter().zip(&maps).all(|(required, map)| !required || map.is_some());
+        covered.then_some(Self { maps, periods })
     }
 
     /// The location a departure away from `from`: first along one coordinate line, then along the other.
     pub fn walk(&self, body: &Body, from: &Location, departure: [f64; 2]) -> Location {
         let mut at = *from;
         for k in 0..2 {
-            let map = &self.maps[at.patch as usize];
+            let Some(map) = &self.maps[at.patch as usize] else { return at };
             at = body.walk(&at, direction(map.axis[k]), map.scale[k] * departure[k]);
         }
         at
@@ -98,7 +112,7 @@ impl Chart {
 
     /// The departure that leads from one location to another, or `None` if it is not found.
     pub fn unroll(&self, body: &Body, from: &Location, to: &Location, tolerance: f64) -> Option<[f64; 2]> {
-        let map = &self.maps[from.patch as usize];
+        let map = self.maps[from.patch as usize].as_ref()?;
         let mut departure = [0.0; 2];
         if from.patch == to.patch {
             let difference = [to.u - from.u, to.v - from.v];
@@ -126,7 +140,7 @@ impl Chart {
             let (f, g) = (point.d_u.dot(&miss), point.d_v.dot(&miss));
             let determinant = a * c - b * b;
             let step = [(c * f - b * g) / determinant, (a * g - b * f) / determinant];
-            let map = self.maps[at.patch as usize];
+            let map = self.maps[at.patch as usize]?;
             let mut damping = 1.0;
             loop {
                 let mut next = departure;
@@ -149,28 +163,39 @@ impl Chart {
 
     /// The part of a departure along a side's parameter: what a vertex on a sharp edge may do.
     pub fn along_edge(&self, location: &Location, side: &EdgeSide, departure: [f64; 2]) -> [f64; 2] {
-        let map = &self.maps[location.patch as usize];
+        let Some(map) = &self.maps[location.patch as usize] else { return [0.0; 2] };
         let along = usize::from(side.side.holds_u());
         std::array::from_fn(|k| if map.axis[k] == along { departure[k] } else { 0.0 })
     }
 
     /// Signs of a departure's mirror image at a plane that the component is symmetric about.
-    pub fn mirror_signs(&self, body: &Body, location: &Location, plane: &Plane) -> [f64; 2] {
+    pub fn mirror_signs(&self, body: &Body, location: &Location, plane: &Plane) -> Option<[f64; 2]> {
         let mirrored = |x: Vector3| Vector3::from(plane.mirror(&x.into()));
         let image = body.closest_point(&mirrored(body.position(location))).location;
         let origin = mirrored(Vector3::zeros());
         let tangents = |l: &Location| {
             let point = body.point(l);
-            let map = self.maps[l.patch as usize];
-            [0, 1].map(|k| if map.axis[k] == 0 { point.d_u } else { point.d_v } * map.scale[k].signum())
+            let map = self.maps[l.patch as usize]?;
+            Some([0, 1].map(|k| if map.axis[k] == 0 { point.d_u } else { point.d_v } * map.scale[k].signum()))
         };
-        let (here, there) = (tangents(location), tangents(&image));
-        [0, 1].map(|k| (mirrored(here[k]) - origin).dot(&there[k]).signum())
+        let (here, there) = (tangents(location)?, tangents(&image)?);
+        Some([0, 1].map(|k| (mirrored(here[k]) - origin).dot(&there[k]).signum()))
     }
 }
 
 fn direction(axis: usize) -> ParameterDirection {
     if axis == 0 { ParameterDirection::U } else { ParameterDirection::V }
+}
+
+/// Whether the maps on both sides of an edge continue each other: the same parameters in the same directions, with the same
+/// scale along the edge.
+fn agree(body: &Body, from: PatchMap, to: PatchMap, join: &Join) -> bool {
+    carry(body, from, &join.here, &join.there).is_some_and(|(expected, along)| {
+        (0..2).all(|k| {
+            let ratio = to.scale[k] / expected.scale[k];
+            to.axis[k] == expected.axis[k] && ratio > 0.0 && (k != along || (ratio - 1.0).abs() <= SAME_SCALE)
+        })
+    })
 }
 
 /// The map of the patch behind an edge, and the chart coordinate that runs along the edge.

@@ -8,6 +8,7 @@ use rayon::prelude::*;
 use crate::{
     Monitor, SetupError, Stage,
     error::{LISTED, VertexDistance},
+    inspection::area_vector,
 };
 
 /// Parameters this near the side of a patch (relative to its range) are on it.
@@ -136,14 +137,12 @@ impl Ownership {
                 match common[..] {
                     [] => None,
                     [owner] => Some(owner),
-                    // All corners are on a seam: the component that the middle of the cell lies on.
+                    // All corners are on seams: the component that the cell's normal agrees with.
                     _ => {
                         let middle = centroid(vertices, cell);
-                        common.into_iter().min_by(|&a, &b| {
-                            let [da, db] =
-                                [a, b].map(|c| bodies[c as usize].closest_point(&middle).distance.abs());
-                            da.total_cmp(&db)
-                        })
+                        let area = area_vector(vertices, cell);
+                        let agreement = |c: u32| bodies[c as usize].closest_point(&middle).normal.dot(&area);
+                        common.into_iter().max_by(|&a, &b| agreement(a).total_cmp(&agreement(b)))
                     }
                 }
             })

@@ -18,6 +18,8 @@ const SAMPLES: f64 = 64.0;
 const PATCHES: usize = 4;
 /// Sine of the angle between line and target below which they do not cross.
 const TANGENT: f64 = 1e-3;
+/// Sine below which a vertex takes its own best line rather than that of its row.
+const SHALLOW: f64 = 0.2;
 
 /// A connected row of seam vertices on the same components, as the report shows it.
 #[derive(Clone, Debug, PartialEq)]
@@ -156,7 +158,7 @@ fn row_lines(
         .map(|(&vertex, scores)| {
             let own_best =
                 (0..choices.len()).fold(0, |best, k| if scores[k] > scores[best] { k } else { best });
-            let k = if scores[best_of_row] > TANGENT { best_of_row } else { own_best };
+            let k = if scores[best_of_row] > SHALLOW { best_of_row } else { own_best };
             let name = |c: u32| bodies[c as usize].component().name().to_owned();
             let tangent = || SetupError::TangentSeam {
                 vertex,

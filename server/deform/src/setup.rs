@@ -459,7 +459,7 @@ impl Fields<'_> {
             }
             let chart = component
                 .filter(|_| self.options.propagation == Propagation::Surface)
-                .and_then(|c| self.chart(c, &region.departing()));
+                .and_then(|c| self.chart(c));
             let mirror = self.mirror_of(component, chart.as_ref());
             let kernel = self.options.kernel();
             let field = Field::new(training, self.positions, kernel, self.options.regularisation, mirror)
@@ -477,16 +477,14 @@ impl Fields<'_> {
         Ok(fields)
     }
 
-    /// Surface coordinates over the patches on which something departs.
-    fn chart(&self, component: u32, departing: &[bool]) -> Option<Chart> {
+    /// Surface coordinates over at least the patches that carry seams.
+    fn chart(&self, component: u32) -> Option<Chart> {
         let body = &self.reference[component as usize];
-        let mut used = vec![false; body.component().patches().len()];
-        for v in (0..self.positions.len() as u32).filter(|&v| departing[v as usize]) {
-            if let Some(own) = self.ownership.on(v, component) {
-                used[own.location.patch as usize] = true;
-            }
+        let mut required = vec![false; body.component().patches().len()];
+        for own in self.seams.vertices.iter().filter_map(|s| self.ownership.on(s.vertex, component)) {
+            required[own.location.patch as usize] = true;
         }
-        Chart::new(body, &used)
+        Chart::new(body, &required)
     }
 
     /// The mirror of a half model, for regions that reach its plane.
@@ -501,7 +499,7 @@ impl Fields<'_> {
             (Some(chart), Some(c)) => {
                 let seam = self.seams.vertices.iter().find_map(|s| self.ownership.on(s.vertex, c));
                 let location = seam.map(|a| a.location)?;
-                let [a, b] = chart.mirror_signs(&self.reference[c as usize], &location, plane);
+                let [a, b] = chart.mirror_signs(&self.reference[c as usize], &location, plane)?;
                 Vector3::new(a, b, 0.0)
             }
             _ => Vector3::new(1.0, -1.0, 1.0),

@@ -70,12 +70,6 @@ impl Region<'_> {
         (distance, self.blend_radius * farthest)
     }
 
-    /// Whether each vertex is within the blending radius of a seam of the region, and so may depart from its component.
-    pub fn departing(&self) -> Vec<bool> {
-        let (distance, radius) = self.seam_distance(&self.seams());
-        distance.iter().map(|d| *d < radius).collect()
-    }
-
     /// Training set of a departure: the seam vertices, which carry it, and vertices beyond the blending radius, which do
     /// not depart. In between the field interpolates. Empty if the region has no seam.
     pub fn departure_set(&self, count: usize) -> Vec<TrainingVertex> {
