@@ -1,2 +1,67 @@
-//! main
-fn main() {}
+//! The repository's own commands: `cargo xtask demo | figures | test | lint | bench`.
+//!
+//! They need Rust, a C compiler and Python >= 3.11 only; everything else comes from crates.io and PyPI, into `target/`.
+
+mod bench;
+mod check;
+mod demo;
+mod process;
+mod python;
+
+use std::{path::PathBuf, process::ExitCode};
+
+use clap::{Parser, Subcommand};
+
+/// Commands for people who work on Moldline.
+#[derive(Debug, Parser)]
+#[command(name = "cargo xtask")]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Deform the E175 through a real server; report, meshes and pictures go to out/demo
+    Demo {
+        /// Leave the pictures out
+        #[arg(long)]
+        no_pictures: bool,
+    },
+    /// Draw the fillet against rho on the 100,000-cell mesh into docs/images (makes the mesh with gmsh if not there)
+    Figures {
+        /// Set-up folder of the fine mesh: mesh.msh and geometry/ [default: out/e175-100k, made if missing]
+        #[arg(long)]
+        large: Option<PathBuf>,
+    },
+    /// Everything: lints, all Rust tests, all Python tests
+    Test,
+    /// Formatting, clippy and Python types
+    Lint,
+    /// The benchmarks that the goals name, with scipy beside; numbers go to out/bench.json
+    Bench {
+        /// Also on the mesh of about 100,000 cells, made with gmsh if it is not there
+        #[arg(long)]
+        large: bool,
+        /// Set-up folder of that mesh: mesh.msh and geometry/
+        #[arg(long, requires = "large")]
+        large_folder: Option<PathBuf>,
+    },
+}
+
+fn main() -> ExitCode {
+    let outcome = match Cli::parse().command {
+        Command::Demo { no_pictures } => demo::demo(!no_pictures),
+        Command::Figures { large } => demo::figures(large),
+        Command::Test => check::test(),
+        Command::Lint => check::lint(),
+        Command::Bench { large, large_folder } => bench::bench(large, large_folder),
+    };
+    match outcome {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(message) => {
+            eprintln!("\nerror: {message}");
+            ExitCode::FAILURE
+        }
+    }
+}

@@ -1,0 +1,95 @@
+//! Benchmarks of what the goals name, with their peers.
+
+use std::{fs, path::PathBuf, process::Stdio};
+
+use serde_json::{Value, json};
+
+use crate::{
+    demo::large_mesh,
+    process::{Outcome, cargo, root},
+    python::Python,
+};
+
+/// Runs the Rust side, then scipy on the same data, and writes `out/bench.json`.
+pub fn bench(large: bool, large_folder: Option<PathBuf>) -> Outcome {
+    let python = Python::ready()?;
+    let data = root().join("out/bench");
+    let mut goals = cargo();
+    goals.args(["bench", "--locked", "--package", "moldline-deform", "--bench", "goals"]);
+    goals.env("MOLDLINE_BENCH_DATA", &data);
+    if large {
+        goals.env("MOLDLINE_BENCH_LARGE", large_mesh(&python, large_folder)?);
+    }
+    eprintln!("\n==> benchmarks");
+    let mut rows = json_lines(&mut goals)?;
+    let mut scipy = python.script("examples/bench/rbf.py");
+    let answers = json_lines(scipy.arg(&data))?;
+    let answer = answers.last().ok_or("scipy's side printed nothing")?;
+    let peer = answer["milliseconds"].as_f64().ok_or("scipy's side gave no time")?;
+
+    let mut speeds = Vec::new();
+    for row in &mut rows {
+        let name = row["name"].as_str().unwrap_or_default().to_owned();
+        if name.contains("solve and evaluate") {
+            row["peer"] = json!({ "name": "scipy RBFInterpolator, evaluation alone", "value": peer });
+            let ratio = peer / row["value"].as_f64().unwrap_or(f64::NAN);
+            let name = name.replace("solve and evaluate", "times as fast as scipy");
+            speeds.push(json!({ "name": name, "value": ratio, "unit": "1", "goal": ">= 5" }));
+        }
+    }
+    rows.append(&mut speeds);
+    rows.push(json!({
+        "name": "cubic RBF, largest difference from scipy", "value": answer["difference"], "unit": "1", "goal": "<= 1e-10",
+    }));
+
+    let mut missed = 0;
+    println!("\n{:<84} {:>12} {:<9} goal", "what", "value", "unit");
+    for row in &mut rows {
+        let reached = reached(row);
+        row["reached"] = json!(reached);
+        missed += usize::from(reached == Some(false));
+        let value = match row["value"].as_f64() {
+            Some(value) if value != 0.0 && value.abs() < 1e-3 => format!("{value:.2e}"),
+            Some(value) if value.fract() != 0.0 => format!("{value:.3}"),
+            _ => row["value"].to_string(),
+        };
+        let text = |key: &str| row[key].as_str().unwrap_or_default().to_owned();
+        let mark = if reached == Some(false) { "   MISSED" } else { "" };
+        println!("{:<84} {value:>12} {:<9} {}{mark}", text("name"), text("unit"), text("goal"));
+    }
+    let path = root().join("out/bench.json");
+    let text = serde_json::to_string_pretty(&Value::from(rows)).map_err(|error| error.to_string())?;
+    fs::write(&path, text + "\n").map_err(|error| format!("cannot write {}: {error}", path.display()))?;
+    println!("\nwritten to {}; {missed} goals missed", path.display());
+    Ok(())
+}
+
+/// Whether a goal that is a number is reached; `None` for one that is not.
+fn reached(row: &Value) -> Option<bool> {
+    let goal = row["goal"].as_str()?;
+    let value = &row["value"];
+    if goal == "true" {
+        return Some(value == &Value::Bool(true));
+    }
+    let (at_least, limit) = match goal.split_once(' ') {
+        Some((">=", limit)) => (true, limit),
+        Some(("<=", limit)) => (false, limit),
+        _ => (false, goal),
+    };
+    let (value, limit) = (value.as_f64()?, limit.parse::<f64>().ok()?);
+    Some(if at_least { value >= limit } else { value <= limit })
+}
+
+/// Runs a program, showing what it says, and collects the lines that are JSON objects.
+fn json_lines(command: &mut std::process::Command) -> Outcome<Vec<Value>> {
+    let program = command.get_program().to_string_lossy().into_owned();
+    let output = command
+        .stderr(Stdio::inherit())
+        .output()
+        .map_err(|error| format!("cannot run {program}: {error}"))?;
+    let text = String::from_utf8_lossy(&output.stdout).into_owned();
+    if !output.status.success() {
+        return Err(format!("{program} failed ({}):\n{text}", output.status));
+    }
+    Ok(text.lines().filter(|line| line.starts_with('{')).filter_map(|line| serde_json::from_str(line).ok()).collect())
+}

@@ -1,0 +1,54 @@
+//! Lints and tests.
+
+use crate::{
+    process::{Outcome, build_moldline, cargo, run},
+    python::Python,
+};
+
+/// Formatting, clippy with every warning an error, documentation, Python types.
+pub fn lint() -> Outcome {
+    rust_lints()?;
+    python_lints(&Python::ready()?)
+}
+
+fn rust_lints() -> Outcome {
+    run("cargo fmt --check", cargo().args(["fmt", "--all", "--check"]))?;
+    let clippy = ["clippy", "--locked", "--workspace", "--all-targets", "--", "-D", "warnings"];
+    run("clippy", cargo().args(clippy))
+}
+
+fn python_lints(python: &Python) -> Outcome {
+    run(
+        "mypy on the client",
+        python.module("mypy").args(["--config-file", "client/python/pyproject.toml", "client/python/src/moldline"]),
+    )
+}
+
+/// Everything that must hold before a change lands. All steps run; the first failure is reported at the end too.
+pub fn test() -> Outcome {
+    let python = Python::ready()?;
+    let mut failures = Vec::new();
+    let mut step = |outcome: Outcome| {
+        if let Err(message) = outcome {
+            eprintln!("    {message}");
+            failures.push(message);
+        }
+    };
+    step(rust_lints());
+    step(python_lints(&python));
+    step(run("cargo test", cargo().args(["test", "--locked", "--workspace", "--no-fail-fast"])));
+    match build_moldline(false) {
+        Ok(binary) => {
+            let mut pytest = python.module("pytest");
+            pytest.args(["-q", "--durations=5", "tests/e2e", "examples/demo"]).env("MOLDLINE_BINARY", binary);
+            step(run("pytest", &mut pytest));
+        }
+        Err(message) => step(Err(message)),
+    }
+    if failures.is_empty() {
+        eprintln!("\nall checks passed");
+        Ok(())
+    } else {
+        Err(format!("{} checks failed:\n  {}", failures.len(), failures.join("\n  ")))
+    }
+}

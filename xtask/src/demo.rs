@@ -1,0 +1,50 @@
+//! The demonstration and the figures.
+
+use std::path::PathBuf;
+
+use crate::{
+    process::{Outcome, build_moldline, root, run},
+    python::Python,
+};
+
+/// Serves, uploads, deforms, reports: `examples/demo/demo.py` against the release build.
+pub fn demo(pictures: bool) -> Outcome {
+    let python = Python::ready()?;
+    let binary = build_moldline(true)?;
+    let mut script = python.script("examples/demo/demo.py");
+    script.arg("--binary").arg(binary).arg("--out").arg(root().join("out/demo"));
+    if !pictures {
+        script.arg("--no-pictures");
+    }
+    run("demo", &mut script)
+}
+
+/// The fillet against rho (Fig. 5 of the paper).
+pub fn figures(large: Option<PathBuf>) -> Outcome {
+    let python = Python::ready()?;
+    let folder = large_mesh(&python, large)?;
+    let binary = build_moldline(true)?;
+    let mut script = python.script("examples/demo/figures.py");
+    script.arg("--binary").arg(binary).arg("--mesh").arg(folder);
+    run("figures", script.arg("--out").arg(root().join("docs/images")))
+}
+
+/// Folder of the mesh of about 100,000 cells: the one given, or `out/e175-100k`, made if it is not there.
+pub fn large_mesh(python: &Python, given: Option<PathBuf>) -> Outcome<PathBuf> {
+    if let Some(folder) = given {
+        let folder = std::path::absolute(&folder).map_err(|error| format!("{}: {error}", folder.display()))?;
+        return match folder.join("mesh.msh").is_file() {
+            true => Ok(folder),
+            false => Err(format!("there is no mesh.msh in {}", folder.display())),
+        };
+    }
+    let folder = root().join("out/e175-100k");
+    // The report is written last: with it, the mesh is whole.
+    if !folder.join("report.json").is_file() {
+        python.with_meshing()?;
+        let mut script = python.script("examples/e175/make.py");
+        script.args(["--cells", "100000", "--verbose", "--out"]).arg(&folder);
+        run("mesh of 100,000 cells (several minutes)", &mut script)?;
+    }
+    Ok(folder)
+}
