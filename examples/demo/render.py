@@ -181,6 +181,9 @@ def _rasterise(triangles: NDArray, width: int, height: int) -> tuple[NDArray, ND
         np.maximum.at(nearest, pixel, z)
         seen = z == nearest[pixel]
         found.append((t[seen], l1[seen], l2[seen], pixel[seen], z[seen]))
+    if not found:
+        none = np.zeros(0, dtype=np.int64)
+        return none, none, np.zeros((0, 3))
     t, l1, l2, pixel, z = (np.concatenate(parts) for parts in zip(*found))
     seen = np.flatnonzero(z == nearest[pixel])
     _, first = np.unique(pixel[seen], return_index=True)
@@ -194,6 +197,8 @@ def _line_cover(xy: NDArray, drawn: NDArray, hits: NDArray, bary: NDArray, width
     a, b, c = xy[:, 0], xy[:, 1], xy[:, 2]
     area = np.abs((b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0]))
     cover = np.zeros(len(hits))
+    if width == 0:
+        return cover
     for corner in range(3):
         edge = xy[:, (corner + 2) % 3] - xy[:, (corner + 1) % 3]
         heights = area / (np.linalg.norm(edge, axis=1) + 1e-300)
