@@ -230,14 +230,16 @@ fn interpolation(input: &SetupInput) -> Result<(), Failure> {
             pool.install(|| basis.evaluate(&basis.fit(&data), &points, &mut out));
             Ok(())
         })?;
-        let name = format!("cubic RBF, 1,500 centres to 15,000 points, solve and evaluate, {threads} threads");
+        let name =
+            format!("cubic RBF, 1,500 centres to 15,000 points, solve and evaluate, {threads} threads");
         tell(&name, 1e3 * both, "ms", "5 times faster than scipy's evaluation");
     }
 
     if let Some(folder) = env::var_os("MOLDLINE_BENCH_DATA") {
         let folder = PathBuf::from(folder);
         fs::create_dir_all(&folder)?;
-        for (name, values) in [("centres", &centres), ("points", &points), ("data", &data), ("values", &out)] {
+        for (name, values) in [("centres", &centres), ("points", &points), ("data", &data), ("values", &out)]
+        {
             let bytes: Vec<u8> = values.iter().flat_map(|x| x.iter()).flat_map(|x| x.to_le_bytes()).collect();
             fs::write(folder.join(format!("{name}.f64")), bytes)?;
         }

@@ -7,43 +7,44 @@ use rayon::prelude::*;
 
 use crate::ownership::{Freedom, Ownership, centroid};
 
-/// Where the search for a cell's foot point starts.
+/// Where a cell's normal comes from.
 #[derive(Clone, Copy, Debug)]
-enum Hint {
-    /// At the current parameters of this vertex, which is in the middle of the surface.
-    Vertex(u32),
-    /// At the cell's own parameters in the reference state.
-    Location(Location),
+enum Source {
+    /// The mean of the component's normals at these corners (a bit each), which are in the middle of the surface.
+    Corners(u8),
+    /// The foot point of its middle, looked for from these parameters: all corners are on seams or sharp edges.
+    Middle(Location),
 }
 
 /// Finds the owner's normal at each cell, and from it the quality of the mesh.
 #[derive(Clone, Debug)]
 pub struct Inspection {
-    hints: Vec<Hint>,
+    sources: Vec<Source>,
     names: Vec<String>,
 }
 
 impl Inspection {
     /// Prepares for a mesh in its reference state.
     pub fn new(mesh: &SurfaceMesh, ownership: &Ownership, reference: &[Body]) -> Self {
-        let hints = mesh
+        let sources = mesh
             .cells
             .par_iter()
             .zip(&ownership.cell_owner)
             .map(|(cell, &owner)| {
-                let inner = cell.vertices().iter().copied().find(|&v| {
-                    matches!(ownership.of(v), [only] if only.component == owner && only.freedom == Freedom::Surface)
-                });
-                inner.map(Hint::Vertex).unwrap_or_else(|| {
-                    let middle = centroid(&mesh.vertices, cell);
-                    Hint::Location(reference[owner as usize].closest_point(&middle).location)
-                })
+                let inner = |v: u32| matches!(ownership.of(v), [only] if only.freedom == Freedom::Surface);
+                let corners = cell.vertices().iter().enumerate();
+                let mask = corners.filter(|&(_, &v)| inner(v)).fold(0, |mask, (k, _)| mask | 1 << k);
+                if mask != 0 {
+                    return Source::Corners(mask);
+                }
+                let middle = centroid(&mesh.vertices, cell);
+                Source::Middle(reference[owner as usize].closest_point(&middle).location)
             })
             .collect();
-        Self { hints, names: reference.iter().map(|b| b.component().name().to_owned()).collect() }
+        Self { sources, names: reference.iter().map(|b| b.component().name().to_owned()).collect() }
     }
 
-    /// Unit normal of its component at each cell's middle. `locations`: parameters of each vertex on its first owner.
+    /// Unit normal of its component at each cell. `locations`: parameters of each vertex on its first owner.
     pub fn normals(
         &self,
         cells: &[Cell],
@@ -54,16 +55,28 @@ impl Inspection {
     ) -> Vec<Vector3> {
         cells
             .par_iter()
-            .zip(&self.hints)
+            .zip(&self.sources)
             .zip(owners)
-            .map(|((cell, hint), &owner)| {
+            .map(|((cell, source), &owner)| {
                 let body = &bodies[owner as usize];
-                let hint = match *hint {
-                    Hint::Vertex(v) => locations[v as usize],
-                    Hint::Location(location) => location,
-                };
-                let foot = body.closest_point_near(&centroid(vertices, cell), &hint);
-                foot.map_or_else(|| body.normal(&hint), |foot| foot.normal)
+                match *source {
+                    Source::Corners(mask) => {
+                        let corners = cell.vertices().iter().enumerate();
+                        let inner = corners.filter(|&(k, _)| mask & (1 << k) != 0);
+                        let sum: Vector3 = inner.map(|(_, &v)| body.normal(&locations[v as usize])).sum();
+                        sum.normalize()
+                    }
+                    Source::Middle(location) => {
+                        let middle = centroid(vertices, cell);
+                        let corner = Vector3::from(vertices[cell.vertices()[0] as usize]);
+                        let near = body.closest_point_near(&middle, &location);
+                        // A foot point farther away than the cell's own corners is that of another sheet.
+                        match near.filter(|foot| foot.distance.abs() <= (middle - corner).norm()) {
+                            Some(foot) => foot.normal,
+                            None => body.closest_point(&middle).normal,
+                        }
+                    }
+                }
             })
             .collect()
     }

@@ -157,11 +157,14 @@ impl fmt::Display for SetupReport {
             } else {
                 writeln!(
                     f,
-                    "seam        {}: {} vertices, searched along {} of {}, crossing at {:.1} deg or more, brackets {:.2} to \
+                    "seam        {}: {} vertices, searched {} of {}, crossing at {:.1} deg or more, brackets {:.2} to \
                      {:.2} of the line",
                     s.components.join(" + "),
                     s.vertices,
-                    s.direction,
+                    match s.direction {
+                        "across" => "across it, along lines".to_owned(),
+                        parameter => format!("along {parameter}"),
+                    },
                     s.reference,
                     s.transversality.min(1.0).asin().to_degrees(),
                     s.bracket[0],

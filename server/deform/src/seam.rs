@@ -28,15 +28,16 @@ pub struct SeamLine {
     pub reference: u32,
     /// The vertex in the reference state, `lambda = 0`.
     pub start: Location,
-    /// The parameter that is searched; the other one is held.
-    pub direction: ParameterDirection,
+    /// Direction of the line in the parameters `(u, v)` of the patch it starts in: one of them where that crosses the
+    /// target well (the other one is then held, as in the paper), else straight across the seam.
+    pub direction: [f64; 2],
     /// Bracket `[l, u]` of lambda, and how far the line goes on at most.
     pub bracket: [f64; 2],
     /// Ends of the component along the line.
     pub limits: [f64; 2],
     /// Components whose union is to be met.
     pub targets: Vec<u32>,
-    /// Shift of the held parameter with the junctions at the seam's ends: `(junction, weight)`.
+    /// The start moves with the junctions at the ends of the seam: `(junction, weight)`.
     pub carried: Vec<(u32, f64)>,
 }
 
@@ -102,6 +103,17 @@ struct Residual {
     slope: f64,
     /// Length of the step that one unit of lambda makes, m.
     speed: f64,
+}
+
+/// The location at `lambda` of a line.
+pub(crate) fn along(body: &Body, start: &Location, direction: [f64; 2], lambda: f64) -> Location {
+    let mut at = *start;
+    for (k, parameter) in [ParameterDirection::U, ParameterDirection::V].into_iter().enumerate() {
+        if direction[k] != 0.0 {
+            at = body.walk(&at, parameter, lambda * direction[k]);
+        }
+    }
+    at
 }
 
 impl SeamSolver {
@@ -173,10 +185,7 @@ impl SeamSolver {
     /// Smooth union of the targets' distances (eq. 11).
     fn residual(&self, line: &SeamLine, at: &Location, bodies: &[Body], bound: f64) -> Residual {
         let point = bodies[line.reference as usize].point(at);
-        let tangent = match line.direction {
-            ParameterDirection::U => point.d_u,
-            ParameterDirection::V => point.d_v,
-        };
+        let tangent = point.d_u * line.direction[0] + point.d_v * line.direction[1];
         let (g, gradient) = if let [target] = line.targets[..] {
             let foot = nearest(&bodies[target as usize], &point.position, bound);
             (foot.distance, foot.normal)
@@ -207,7 +216,7 @@ impl SeamSolver {
     ) -> Result<SeamPoint, f64> {
         let body = &bodies[line.reference as usize];
         let start = self.carried(line, body, junctions);
-        let at = |lambda: f64| body.walk(&start, line.direction, lambda);
+        let at = |lambda: f64| along(body, &start, line.direction, lambda);
         let g = |lambda: f64, bound: f64| self.residual(line, &at(lambda), bodies, bound);
 
         let ([mut lower, mut upper], mut g_lower) = self.bracket(line, &g)?;
@@ -264,33 +273,25 @@ impl SeamSolver {
         }
     }
 
-    /// The start of a line, its held parameter shifted with the junctions at the ends of the seam.
+    /// The start of a line, shifted with the junctions at the ends of the seam.
     fn carried(
         &self,
         line: &SeamLine,
         body: &Body,
         junctions: &[Option<Result<SeamPoint, f64>>],
     ) -> Location {
-        let held = match line.direction {
-            ParameterDirection::U => ParameterDirection::V,
-            ParameterDirection::V => ParameterDirection::U,
-        };
-        let mut shift = 0.0;
+        let mut shift = [0.0; 2];
         for &(junction, weight) in &line.carried {
             let vertex = &self.vertices[junction as usize];
             let Some(Ok(point)) = &junctions[junction as usize] else { continue };
-            let Some(on_line) = vertex.owners.iter().position(|&o| o == line.reference) else { continue };
-            let before = vertex.locations[on_line];
-            let after = point.locations[on_line];
+            let Some(k) = vertex.owners.iter().position(|&o| o == line.reference) else { continue };
+            let (before, after) = (vertex.locations[k], point.locations[k]);
             if before.patch == after.patch {
-                shift += weight
-                    * match held {
-                        ParameterDirection::U => after.u - before.u,
-                        ParameterDirection::V => after.v - before.v,
-                    };
+                shift[0] += weight * shorter_way(body, after.patch, 0, after.u - before.u);
+                shift[1] += weight * shorter_way(body, after.patch, 1, after.v - before.v);
             }
         }
-        if shift == 0.0 { line.start } else { body.walk(&line.start, held, shift) }
+        along(body, &line.start, shift, 1.0)
     }
 
     /// A bracket with a change of sign: the stored one, or, searched outward from it, the nearest one along the line.
@@ -379,6 +380,13 @@ impl SeamSolver {
             .collect();
         SeamPoint { position, locations, residual }
     }
+}
+
+/// A difference of one parameter, taken the shorter way around a closed patch: more than half of a range is the long way.
+fn shorter_way(body: &Body, patch: u32, parameter: usize, difference: f64) -> f64 {
+    let (low, high) = body.component().patches()[patch as usize].surface.domain()[parameter];
+    let range = high - low;
+    if difference.abs() > 0.5 * range { difference - range.copysign(difference) } else { difference }
 }
 
 /// The closest point, searched within `bound` first.

@@ -2,14 +2,14 @@
 
 use std::collections::{BTreeMap, HashMap};
 
-use moldline_geometry::{Body, Location, ParameterDirection};
+use moldline_geometry::{Body, Location};
 use moldline_mesh::{Topology, graph};
 use rayon::prelude::*;
 
 use crate::{
     Monitor, SeamOptions, SetupError, Stage,
-    ownership::{Freedom, Ownership},
-    seam::{Junction, SeamLine, SeamSearch, SeamSolver, SeamVertex},
+    ownership::{Attachment, Freedom, Ownership},
+    seam::{Junction, SeamLine, SeamSearch, SeamSolver, SeamVertex, along},
 };
 
 /// Samples of a line over the length of a patch, when brackets are looked for.
@@ -30,7 +30,7 @@ pub struct SeamSummary {
     pub vertices: usize,
     /// Component whose lines are searched, and the parameter.
     pub reference: String,
-    /// `u` or `v`; `u, v` where three components meet.
+    /// `u` or `v`, `across` where some lines run straight across the seam; `u, v` where three components meet.
     pub direction: &'static str,
     /// Least sine of the angle between a line and its target.
     pub transversality: f64,
@@ -38,17 +38,19 @@ pub struct SeamSummary {
     pub bracket: [f64; 2],
 }
 
-/// A way to search: component and parameter.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+/// A way to search: component and direction.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Choice {
     component: u32,
-    along_v: bool,
+    direction: Direction,
 }
 
-impl Choice {
-    fn direction(self) -> ParameterDirection {
-        if self.along_v { ParameterDirection::V } else { ParameterDirection::U }
-    }
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Direction {
+    U,
+    V,
+    /// In the surface, along the gradient of the target's distance.
+    Across,
 }
 
 /// Builds the solver for the seam vertices of `ownership`.
@@ -77,7 +79,7 @@ pub fn seam_solver(
             return Err(SetupError::Cancelled);
         }
         let built = row_lines(row, ownership, bodies)?;
-        let carried = carried(row, &junctions, topology, vertices, &index_of);
+        let carried = carried(row, &junctions, ownership, topology, vertices, &index_of);
         summaries.push(summary(row, ownership, bodies, &built));
         for ((&vertex, (mut line, quality)), carried) in row.iter().zip(built).zip(carried) {
             line.carried = carried;
@@ -142,10 +144,15 @@ fn row_lines(
     bodies: &[Body],
 ) -> Result<Vec<(SeamLine, f64)>, SetupError> {
     let [a, b] = [0, 1].map(|k| ownership.of(row[0])[k].component);
-    let choices: Vec<Choice> = [a, b]
+    let choose = |component, direction| Choice { component, direction };
+    let mut choices: Vec<Choice> = [a, b]
         .into_iter()
-        .flat_map(|component| [false, true].map(|along_v| Choice { component, along_v }))
+        .flat_map(|component| [Direction::U, Direction::V].map(|direction| choose(component, direction)))
         .collect();
+    let parameters = choices.len();
+    // Across the seam on the larger of the two, which is the flatter one there.
+    let larger = if bodies[a as usize].size() >= bodies[b as usize].size() { a } else { b };
+    choices.push(choose(larger, Direction::Across));
     // table[vertex][choice]
     let table: Vec<Vec<f64>> = row
         .par_iter()
@@ -182,39 +189,61 @@ fn transversality(vertex: u32, choice: Choice, ownership: &Ownership, bodies: &[
     let body = &bodies[choice.component as usize];
     match own.freedom {
         Freedom::Fixed => return -1.0,
+        Freedom::Edge(_) if choice.direction == Direction::Across => return -1.0,
         Freedom::Edge(edge) => {
             let side =
                 body.component().edges()[edge as usize].sides.iter().find(|s| s.patch == own.location.patch);
-            if side.is_some_and(|s| s.side.holds_u() != choice.along_v) {
+            if side.is_some_and(|s| s.side.holds_u() != (choice.direction == Direction::V)) {
                 return -1.0;
             }
         }
         Freedom::Surface => {}
     }
-    let point = body.point(&own.location);
-    let tangent = if choice.along_v { point.d_v } else { point.d_u };
-    let speed = tangent.norm();
     let others = ownership.of(vertex).iter().filter(|o| o.component != choice.component);
     others
-        .map(|o| {
-            // A vertex that slides along a sharp edge of the target has no normal there to measure by.
-            let normal = bodies[o.component as usize].normal(&o.location);
-            if speed > 0.0 { normal.dot(&tangent).abs() / speed } else { -1.0 }
+        .map(|other| {
+            let normal = bodies[other.component as usize].normal(&other.location);
+            let [a, b] = parameter_direction(choice, own, other, bodies);
+            let point = body.point(&own.location);
+            let tangent = point.d_u * a + point.d_v * b;
+            let sine = normal.dot(&tangent).abs() / tangent.norm();
+            if sine.is_finite() { sine } else { -1.0 }
         })
         .fold(f64::INFINITY, f64::min)
+}
+
+/// The direction of a line in parameters, scaled so that a unit of lambda goes the length of a patch.
+fn parameter_direction(choice: Choice, own: &Attachment, other: &Attachment, bodies: &[Body]) -> [f64; 2] {
+    let body = &bodies[choice.component as usize];
+    let [u, v] = body.component().patches()[own.location.patch as usize].surface.domain();
+    let ranges = [u.1 - u.0, v.1 - v.0];
+    match choice.direction {
+        Direction::U => [ranges[0], 0.0],
+        Direction::V => [0.0, ranges[1]],
+        Direction::Across => {
+            let point = body.point(&own.location);
+            let normal = bodies[other.component as usize].normal(&other.location);
+            let (e, f, g) = (point.d_u.norm_squared(), point.d_u.dot(&point.d_v), point.d_v.norm_squared());
+            let (p, q) = (point.d_u.dot(&normal), point.d_v.dot(&normal));
+            let direction = [g * p - f * q, e * q - f * p];
+            let length = (direction[0] / ranges[0]).abs().max((direction[1] / ranges[1]).abs());
+            direction.map(|d| d / length)
+        }
+    }
 }
 
 /// The line of a vertex with its bracket: from half way to the next root below to half way to the next root above, or
 /// to the end of the component.
 fn line(vertex: u32, choice: Choice, ownership: &Ownership, bodies: &[Body]) -> Option<SeamLine> {
-    let start = ownership.on(vertex, choice.component)?.location;
+    let own = ownership.on(vertex, choice.component)?;
+    let start = own.location;
     let body = &bodies[choice.component as usize];
-    let target = ownership.of(vertex).iter().find(|o| o.component != choice.component)?.component;
-    let domain = body.component().patches()[start.patch as usize].surface.domain();
-    let (low, high) = if choice.along_v { domain[1] } else { domain[0] };
-    let step = (high - low) / SAMPLES;
-    let at = |lambda: f64| body.walk(&start, choice.direction(), lambda);
-    let inside = |lambda: f64| bodies[target as usize].signed_distance(&body.position(&at(lambda))) < 0.0;
+    let other = ownership.of(vertex).iter().find(|o| o.component != choice.component)?;
+    let direction = parameter_direction(choice, own, other, bodies);
+    let step = 1.0 / SAMPLES;
+    let at = |lambda: f64| along(body, &start, direction, lambda);
+    let target = &bodies[other.component as usize];
+    let inside = |lambda: f64| target.signed_distance(&body.position(&at(lambda))) < 0.0;
 
     // Lengths to the end of the component, to the bracket's end, and the side of the target that lies there.
     let scan = |sign: f64| {
@@ -225,7 +254,7 @@ fn line(vertex: u32, choice: Choice, ownership: &Ownership, bodies: &[Body]) -> 
         for k in 1..=PATCHES * SAMPLES as usize {
             let lambda = sign * step * k as f64;
             let here = at(lambda);
-            if here == previous || (k > 2 && came_round(&start, &here, step)) {
+            if here == previous || (k > 2 && came_round(&start, &here, direction, step)) {
                 break;
             }
             (previous, length) = (here, step * k as f64);
@@ -240,54 +269,63 @@ fn line(vertex: u32, choice: Choice, ownership: &Ownership, bodies: &[Body]) -> 
     (below != above && length_below > 0.0 && length_above > 0.0).then(|| SeamLine {
         reference: choice.component,
         start,
-        direction: choice.direction(),
+        direction,
         bracket: [-bracket_below, bracket_above],
         limits: [-length_below, length_above],
-        targets: vec![target],
+        targets: vec![other.component],
         carried: Vec::new(),
     })
 }
 
 /// Whether a line around a closed component is back at its start.
-fn came_round(start: &Location, here: &Location, step: f64) -> bool {
-    start.patch == here.patch && (start.u - here.u).hypot(start.v - here.v) < 0.75 * step
+fn came_round(start: &Location, here: &Location, direction: [f64; 2], step: f64) -> bool {
+    let near = |a: f64, b: f64, d: f64| (a - b).abs() <= 0.75 * step * d.abs();
+    start.patch == here.patch && near(start.u, here.u, direction[0]) && near(start.v, here.v, direction[1])
 }
 
-/// For every vertex of a row, the junctions at its ends with weights that go from one at the junction to zero at the
-/// other end.
+/// For every vertex of a row, the junctions at the ends of its part of the row, with weights that go from one at the junction
+/// to zero at the other end. Vertices on sharp edges end a part too: they keep to their edge.
 fn carried(
     row: &[u32],
     junctions: &[u32],
+    ownership: &Ownership,
     topology: &Topology,
     vertices: &[[f64; 3]],
     index_of: &HashMap<u32, u32>,
 ) -> Vec<Vec<(u32, f64)>> {
     let touches =
         |j: u32| topology.vertex_neighbours.row(j as usize).iter().any(|n| row.binary_search(n).is_ok());
-    let ends: Vec<u32> = junctions.iter().copied().filter(|&j| touches(j)).collect();
+    let on_edge = |v: u32| ownership.of(v).iter().any(|a| a.freedom != Freedom::Surface);
+    let mut ends: Vec<u32> = junctions.iter().copied().filter(|&j| touches(j)).collect();
+    if ends.is_empty() {
+        return vec![Vec::new(); row.len()];
+    }
+    let junction_count = ends.len();
+    ends.extend(row.iter().copied().filter(|&v| on_edge(v)));
     let distances: Vec<Vec<f64>> = ends
         .iter()
         .map(|&end| {
-            let allowed = |v: u32| v == end || row.binary_search(&v).is_ok();
+            let allowed = |v: u32| v == end || (row.binary_search(&v).is_ok() && !on_edge(v));
             graph::graph_distance(topology, vertices, &[end], allowed)
         })
         .collect();
     row.iter()
         .map(|&v| {
-            let mut near: Vec<(f64, u32)> = distances
-                .iter()
-                .zip(&ends)
-                .map(|(d, end)| (d[v as usize], index_of[end]))
-                .filter(|(d, _)| d.is_finite())
-                .collect();
+            if on_edge(v) {
+                return Vec::new();
+            }
+            let mut near: Vec<(f64, usize)> =
+                distances.iter().map(|d| d[v as usize]).zip(0..).filter(|(d, _)| d.is_finite()).collect();
             near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-            match near[..] {
+            let weights = match near[..] {
                 [] => Vec::new(),
                 [(_, only)] => vec![(only, 1.0)],
                 [(d1, first), (d2, second), ..] => {
                     vec![(first, d2 / (d1 + d2)), (second, d1 / (d1 + d2))]
                 }
-            }
+            };
+            let moving = weights.into_iter().filter(|&(end, _)| end < junction_count);
+            moving.map(|(end, weight)| (index_of[&ends[end]], weight)).collect()
         })
         .collect()
 }
@@ -331,9 +369,12 @@ fn summary(row: &[u32], ownership: &Ownership, bodies: &[Body], lines: &[(SeamLi
         components: ownership.of(row[0]).iter().map(|a| name(a.component)).collect(),
         vertices: row.len(),
         reference: name(lines[0].0.reference),
-        direction: match lines[0].0.direction {
-            ParameterDirection::U => "u",
-            ParameterDirection::V => "v",
+        direction: if lines.iter().all(|(l, _)| l.direction[1] == 0.0) {
+            "u"
+        } else if lines.iter().all(|(l, _)| l.direction[0] == 0.0) {
+            "v"
+        } else {
+            "across"
         },
         transversality: lines.iter().map(|(_, t)| *t).fold(f64::INFINITY, f64::min),
         bracket: [
