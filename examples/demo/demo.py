@@ -2,8 +2,8 @@
 
     cargo xtask demo
 
-Writes report.json, one .vtu a case and pictures, and prints the quality beside the paper's figures. Exits with 1 if a
-goal is missed.
+Writes report.json, one .vtu a case and pictures, and prints the quality beside the paper's figures and the goals that
+were missed. It measures and does not judge: a slow machine is no failure.
 """
 
 from __future__ import annotations
@@ -49,6 +49,8 @@ DIAMETERS = {
 #: Points on each of the four ways from corner to corner.
 POINTS = 5
 SEED = 175
+#: Progress bars are for people.
+BARS = sys.stderr.isatty()
 
 
 def motion(translation: float, rotation: float) -> dict[str, float]:
@@ -178,9 +180,9 @@ class Demo:
     def create(self, setup_file: str, mold_line: str) -> moldline.Setup:
         print(f"\n{setup_file}, {mold_line} outer mold line", flush=True)
         if mold_line == "sharp":
-            setup = self.client.create_setup(E175, setup_file=setup_file, progress=True)
+            setup = self.client.create_setup(E175, setup_file=setup_file, progress=BARS)
         else:
-            setup = self.client.create_setup(setup_folder(setup_file, mold_line, self.out), progress=True)
+            setup = self.client.create_setup(setup_folder(setup_file, mold_line, self.out), progress=BARS)
         self.setups[f"{Path(setup_file).stem}-{mold_line}"] = {
             "name": setup.name,
             "seconds": setup.build_seconds,
@@ -195,7 +197,7 @@ class Demo:
         """Numbers by case; meshes into `folder` if given."""
         rows: dict[str, dict[str, Any]] = {}
         with setup.session() as session:
-            for name, design in tqdm(designs.items(), desc="deform", unit="design", leave=False):
+            for name, design in tqdm(designs.items(), desc="deform", unit="design", leave=False, disable=None):
                 try:
                     result = session.deform(design, cell_quality=folder is not None)
                 except moldline.MoldlineError as error:
@@ -221,7 +223,7 @@ def same_bytes(binary: Path, client: moldline.Client, setup: moldline.Setup, fol
         first, second = (session.deform(design).vertices.tobytes() for _ in range(2))
     with Server(binary, out / "server-1-thread.log", "--threads", "1") as server:
         with moldline.Client(server.address) as other:
-            with other.create_setup(folder, progress=True).session() as session:
+            with other.create_setup(folder, progress=BARS).session() as session:
                 alone = session.deform(design).vertices.tobytes()
     return first == second == alone
 
@@ -275,7 +277,7 @@ def goals(report: dict[str, Any]) -> list[dict[str, Any]]:
     return rows
 
 
-def main() -> int:
+def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--binary", type=Path, required=True, help="the moldline program")
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "demo", help="folder to write to")
@@ -326,7 +328,7 @@ def main() -> int:
     if not arguments.no_pictures:
         with ProcessPoolExecutor() as pool:
             jobs = pool.map(pictures.draw, demo.drawings)
-            for _ in tqdm(jobs, desc="pictures", total=len(demo.drawings), unit="case", leave=False):
+            for _ in tqdm(jobs, desc="pictures", total=len(demo.drawings), unit="case", leave=False, disable=None):
                 pass
         pictures.overview(out, ["baseline", *CORNERS, "d150", "d070"])
 
@@ -334,8 +336,7 @@ def main() -> int:
     print(f"\n{len(report['goals']) - len(missed)} of {len(report['goals'])} goals reached; numbers in {out / 'report.json'}")
     for goal in missed:
         print(f"  missed: {goal['name']} = {goal['value']} {goal['unit']}, goal {goal['goal']}")
-    return 1 if missed else 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

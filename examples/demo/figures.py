@@ -13,7 +13,7 @@ import moldline
 import numpy as np
 from PIL import Image
 
-from demo import ROOT, Server, setup_folder
+from demo import BARS, ROOT, Server, setup_folder
 from render import View, beside, render, text
 
 #: How far the fillet stands off a right-angled seam, metres.
@@ -39,7 +39,7 @@ def main() -> None:
         with moldline.Client(server.address) as client:
             for fillet in FILLETS:
                 folder = setup_folder("setup-motions.toml", "smooth", Path(work), arguments.mesh, fillet=fillet)
-                setup = client.create_setup(folder, progress=True)
+                setup = client.create_setup(folder, progress=BARS)
                 with setup.session() as session:
                     result = session.deform()
                 print(f"fillet {fillet:g} m: rho {setup.report['rho']:.1f} 1/m, {setup.cell_count} cells\n{result.quality}")

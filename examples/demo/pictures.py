@@ -36,20 +36,23 @@ class Drawing:
 
 def caption(design: dict[str, float], mold_line: str) -> str:
     """A design for people."""
-    units = {"wing.translation": "m", "wing.rotation": "\N{DEGREE SIGN}", "htail.rotation": "\N{DEGREE SIGN}"}
-    words = {"wing.translation": "wing", "wing.rotation": "wing", "htail.rotation": "tail"}
-    parts = [f"{words[name]} {design[name]:+g} {unit}" for name, unit in units.items() if design.get(name)]
+    parts = []
+    if translation := design.get("wing.translation"):
+        parts.append(f"wing {translation:+g} m")
+    if rotation := design.get("wing.rotation"):
+        parts.append(f"wing and tail {rotation:+g}\N{DEGREE SIGN}")
     if "fuselage.diameter_ratio" in design:
-        parts.append(f"diameter {100 * design['fuselage.diameter_ratio']:g} %")
+        parts.append(f"fuselage diameter {100 * design['fuselage.diameter_ratio']:g} %")
     return f"{', '.join(parts) or 'baseline'} ({mold_line})"
 
 
 def draw(drawing: Drawing) -> None:
-    """Writes `<case>.png` and `<case>-junction.png`."""
+    """Writes `<case>-junction.png`, and `<case>.png` too unless it would look as that of the sharp outer mold line."""
     title = caption(drawing.design, drawing.mold_line)
-    image = aircraft(drawing.mesh, drawing.vertices)
-    text(image, (32, 24), title)
-    image.save(drawing.folder / f"{drawing.name}.png", optimize=True)
+    if drawing.mold_line == "sharp":
+        image = aircraft(drawing.mesh, drawing.vertices)
+        text(image, (32, image.height - 60), title, 30)
+        image.save(drawing.folder / f"{drawing.name}.png")
 
     aspect = drawing.cell_quality["aspect_ratio"]
     colours = ramp(aspect, *ASPECT)
@@ -57,14 +60,14 @@ def draw(drawing: Drawing) -> None:
     images = []
     for towards, where in (((-0.50, 0.70, 0.55), "from above"), ((-0.30, 0.60, -0.72), "from below")):
         centre = at if towards[2] > 0 else at - [0, 0.7, 0.3]
-        image = mesh_image(drawing.mesh, drawing.vertices, colours, View(tuple(centre), towards, 5.0), (1100, 850))
+        image = mesh_image(drawing.mesh, drawing.vertices, colours, View(tuple(centre), towards, 5.0), (960, 740))
         text(image, (28, 20), f"{title}, {where}")
         images.append(image)
     colour_bar(images[-1], *ASPECT, "aspect ratio")
-    beside(images, 2).save(drawing.folder / f"{drawing.name}-junction.png", optimize=True)
+    beside(images, 2).save(drawing.folder / f"{drawing.name}-junction.png")
 
 
-def aircraft(mesh: moldline.Mesh, vertices: NDArray[np.float64], size: tuple[int, int] = (1600, 1000)) -> Image.Image:
+def aircraft(mesh: moldline.Mesh, vertices: NDArray[np.float64], size: tuple[int, int] = (1440, 900)) -> Image.Image:
     """The whole aircraft, coloured by component."""
     view = View((15.2, 0.0, 0.4), (-0.55, 0.58, 0.60), 19.0)
     return mesh_image(mesh, vertices, PALETTE[mesh.cell_owner % len(PALETTE)], view, size)
@@ -79,4 +82,4 @@ def overview(folder: Path, names: list[str]) -> None:
     images = [Image.open(folder / f"{name}.png") for name in names if (folder / f"{name}.png").exists()]
     if images:
         small = [image.resize((image.width // 2, image.height // 2), Image.Resampling.LANCZOS) for image in images]
-        beside(small, 3).save(folder / "overview.png", optimize=True)
+        beside(small, 3).save(folder / "overview.png")

@@ -16,7 +16,7 @@ NO_VERTEX = 0xFFFFFFFF
 #: Pixels of the picture are means of squares of this many samples.
 SAMPLES = 2
 #: Samples rasterised at a time, to bound memory.
-BATCH = 4_000_000
+BATCH = 2_000_000
 #: Normals are shared by neighbouring cells up to this angle.
 CREASE = np.cos(np.radians(40.0))
 
@@ -66,24 +66,26 @@ def render(
     screen = np.stack([screen[:, 0] + width / 2, height / 2 - screen[:, 1], screen[:, 2]], axis=1)
 
     corners, cell, lines = _triangles(cells, owner)
-    normals = _corner_normals(vertices, cells, owner)
+    normals = _corner_normals(vertices, cells, owner) @ axes.T
     visible, hits, bary = _rasterise(screen[corners], width, height)
 
     # Shade what is seen, sample by sample.
-    n = np.einsum("kc,kcx->kx", bary, normals[corners_index(cells)][hits])
-    n /= np.linalg.norm(n, axis=1, keepdims=True) + 1e-300
-    n = n @ axes.T
-    n[n[:, 2] < 0] *= -1
-    key = np.array([-0.45, 0.65, 0.61])
-    light = 0.40 + 0.50 * np.clip(n @ key, 0, None) + 0.22 * n[:, 2]
-    shine = 0.10 * np.clip(n @ (key + [0, 0, 1]) / np.linalg.norm(key + [0, 0, 1]), 0, None) ** 24
-    colour = np.clip(colours[cell[hits]] * light[:, None] + shine[:, None], 0, 1)
+    corner_normals = normals[corners_index(cells)].astype(np.float32)
+    n = sum(bary[k][:, None] * corner_normals[hits, k] for k in range(3))
+    n /= np.sqrt(np.einsum("kx,kx->k", n, n))[:, None] + np.float32(1e-30)
+    n *= np.where(n[:, 2] < 0, -1, 1).astype(np.float32)[:, None]
+    key = np.array([-0.45, 0.65, 0.61], dtype=np.float32)
+    half = (key + np.array([0, 0, 1], dtype=np.float32)) / np.linalg.norm(key + [0, 0, 1]).astype(np.float32)
+    light = 0.42 + 0.38 * np.clip(n @ key, 0, None) + 0.32 * n[:, 2]
+    shine = 0.10 * np.clip(n @ half, 0, None) ** 24
+    colour = np.clip(colours.astype(np.float32)[cell[hits]] * light[:, None] + shine[:, None], 0, 1)
     for kind, ink, pixels, strength in ((1, INK, line, 0.62), (2, SEAM_INK, seam_line, 0.95)):
-        cover = _line_cover(screen[corners][:, :, :2], lines == kind, hits, bary, pixels * SAMPLES)
-        colour += (strength * cover)[:, None] * (ink - colour)
+        touched, cover = _line_cover(screen[corners][:, :, :2], lines == kind, hits, bary, pixels * SAMPLES)
+        colour[touched] += (np.float32(strength) * cover)[:, None] * (ink.astype(np.float32) - colour[touched])
 
-    ramp = np.linspace(0.0, 1.0, height)[:, None, None]
-    picture = np.broadcast_to(np.array([0.90, 0.93, 0.96]) * (1 - ramp) + ramp, (height, width, 3)).copy()
+    down = np.linspace(0.0, 1.0, height, dtype=np.float32)[:, None, None]
+    sky = np.array([0.90, 0.93, 0.96], dtype=np.float32) * (1 - down) + down
+    picture = np.broadcast_to(sky, (height, width, 3)).copy()
     picture.reshape(-1, 3)[visible] = colour
     picture = picture.reshape(size[1], SAMPLES, size[0], SAMPLES, 3).mean(axis=(1, 3))
     return Image.fromarray((picture * 255 + 0.5).astype("u1"))
@@ -147,8 +149,8 @@ def _corner_normals(vertices: NDArray, cells: NDArray, owner: NDArray) -> NDArra
     return np.where(agree[:, None], smooth, own)
 
 
-def _rasterise(triangles: NDArray, width: int, height: int) -> tuple[NDArray, NDArray, NDArray]:
-    """Samples that show a surface: their index, the triangle seen there, and its barycentric coordinates."""
+def _rasterise(triangles: NDArray, width: int, height: int) -> tuple[NDArray, NDArray, tuple]:
+    """Samples that show a surface: their index, the triangle seen there, and its three barycentric coordinates."""
     xy, depth = triangles[:, :, :2], triangles[:, :, 2]
     limit = np.array([width, height])
     low = np.clip(np.ceil(xy.min(axis=1) - 0.5), 0, limit).astype(np.int64)
@@ -159,8 +161,11 @@ def _rasterise(triangles: NDArray, width: int, height: int) -> tuple[NDArray, ND
     sizes = extent[:, 0] * extent[:, 1]
     # Meshes are closed: what is turned away is hidden (y points down here, so areas towards the eye are negative).
     order = np.flatnonzero((sizes > 0) & (area < -1e-9))
-    nearest = np.full(width * height, -np.inf)
-    found: list[tuple[NDArray, ...]] = []
+    nearest = np.full(width * height, -np.inf, dtype=np.float32)
+    seen_in = np.zeros(width * height, dtype=np.int32)
+    # Everything about a triangle that its samples need: barycentric coordinates and depth are affine on the screen.
+    gradient = np.stack([c[:, 1] - a[:, 1], a[:, 0] - c[:, 0], a[:, 1] - b[:, 1], b[:, 0] - a[:, 0]], axis=1)
+    gradient /= np.where(area == 0, 1, area)[:, None]
     ends = np.cumsum(sizes[order])
     start = 0
     while start < len(order):
@@ -168,48 +173,52 @@ def _rasterise(triangles: NDArray, width: int, height: int) -> tuple[NDArray, ND
         stop = max(start + 1, int(np.searchsorted(ends, base + BATCH)))
         chosen = order[start:stop]
         start = stop
-        t = np.repeat(chosen, sizes[chosen])
-        local = np.arange(len(t)) - np.repeat(np.cumsum(sizes[chosen]) - sizes[chosen], sizes[chosen])
-        row, column = np.divmod(local, extent[t, 0])
-        x, y = column + low[t, 0], row + low[t, 1]
-        dx, dy = x + 0.5 - a[t, 0], y + 0.5 - a[t, 1]
-        l1 = (dx * (c[t, 1] - a[t, 1]) - dy * (c[t, 0] - a[t, 0])) / area[t]
-        l2 = (dy * (b[t, 0] - a[t, 0]) - dx * (b[t, 1] - a[t, 1])) / area[t]
-        inside = (l1 >= -1e-9) & (l2 >= -1e-9) & (l1 + l2 <= 1 + 1e-9)
-        t, l1, l2, pixel = t[inside], l1[inside], l2[inside], (y * width + x)[inside]
-        z = depth[t, 0] + l1 * (depth[t, 1] - depth[t, 0]) + l2 * (depth[t, 2] - depth[t, 0])
+        t = np.repeat(chosen.astype(np.int32), sizes[chosen])
+        local = np.arange(len(t), dtype=np.int32)
+        local -= np.repeat((np.cumsum(sizes[chosen]) - sizes[chosen]).astype(np.int32), sizes[chosen])
+        row, column = np.divmod(local, extent[:, 0].astype(np.int32)[t])
+        l1, l2 = _barycentric(t, column, row, low + 0.5 - a, gradient)
+        inside = np.flatnonzero((l1 >= -1e-5) & (l2 >= -1e-5) & (l1 + l2 <= 1 + 1e-5))
+        t, l1, l2 = t[inside], l1[inside], l2[inside]
+        pixel = (low[t, 1] + row[inside]) * width + low[t, 0] + column[inside]
+        z = (depth[t, 0] + l1 * (depth[t, 1] - depth[t, 0]) + l2 * (depth[t, 2] - depth[t, 0])).astype(np.float32)
         np.maximum.at(nearest, pixel, z)
-        seen = z == nearest[pixel]
-        found.append((t[seen], l1[seen], l2[seen], pixel[seen], z[seen]))
-    if not found:
-        none = np.zeros(0, dtype=np.int64)
-        return none, none, np.zeros((0, 3))
-    t, l1, l2, pixel, z = (np.concatenate(parts) for parts in zip(*found))
-    seen = np.flatnonzero(z == nearest[pixel])
-    _, first = np.unique(pixel[seen], return_index=True)
-    seen = seen[first]
-    bary = np.stack([1 - l1[seen] - l2[seen], l1[seen], l2[seen]], axis=1)
-    return pixel[seen], t[seen], bary
+        front = z == nearest[pixel]
+        seen_in[pixel[front]] = t[front]
+    visible = np.flatnonzero(nearest > -np.inf)
+    t = seen_in[visible]
+    row, column = np.divmod(visible, width)
+    l1, l2 = _barycentric(t, column, row, 0.5 - a, gradient)
+    return visible, t, (1 - l1 - l2, l1, l2)
 
 
-def _line_cover(xy: NDArray, drawn: NDArray, hits: NDArray, bary: NDArray, width: float) -> NDArray[np.float64]:
-    """How much of each sample the lines cover, 0 to 1; lines of cells too small for them fade."""
+def _barycentric(t: NDArray, x: NDArray, y: NDArray, offset: NDArray, gradient: NDArray) -> tuple[NDArray, NDArray]:
+    """Barycentric coordinates 1 and 2 in triangles `t` of the samples at `x`, `y` beyond their `offset` from corner 0."""
+    offset, gradient = offset.astype(np.float32), gradient.astype(np.float32)
+    dx, dy = x + offset[t, 0], y + offset[t, 1]
+    return dx * gradient[t, 0] + dy * gradient[t, 1], dx * gradient[t, 2] + dy * gradient[t, 3]
+
+
+def _line_cover(xy: NDArray, drawn: NDArray, hits: NDArray, bary: tuple, width: float) -> tuple[NDArray, NDArray]:
+    """Samples that lines touch, and how much, 0 to 1; lines of cells too small for them fade."""
     a, b, c = xy[:, 0], xy[:, 1], xy[:, 2]
     area = np.abs((b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0]))
-    cover = np.zeros(len(hits))
-    if width == 0:
-        return cover
+    cover = np.zeros(len(hits), dtype=np.float32)
     for corner in range(3):
+        if width == 0 or not drawn[:, corner].any():
+            continue
         edge = xy[:, (corner + 2) % 3] - xy[:, (corner + 1) % 3]
         heights = area / (np.linalg.norm(edge, axis=1) + 1e-300)
-        fade = np.clip(heights / (5 * width), 0, 1)
-        distance = bary[:, corner] * heights[hits]
-        inked = np.clip(width / 2 + 0.5 - distance, 0, 1) * np.where(drawn[:, corner], fade, 0)[hits]
-        cover = np.maximum(cover, inked)
-    return cover
+        fade = np.where(drawn[:, corner], np.clip(heights / (5 * width), 0, 1), 0).astype(np.float32)
+        distance = bary[corner] * heights.astype(np.float32)[hits]
+        near = np.flatnonzero(distance < width / 2 + 0.5)
+        inked = np.clip(width / 2 + 0.5 - distance[near], 0, 1) * fade[hits[near]]
+        cover[near] = np.maximum(cover[near], inked)
+    touched = np.flatnonzero(cover)
+    return touched, cover[touched]
 
 
-# Dark blue over teal and yellow to red: lightness tells what colour does.
+# Light blue over yellow to red.
 _RAMP = np.array([[0.80, 0.87, 0.92], [0.45, 0.68, 0.82], [0.99, 0.85, 0.45], [0.95, 0.50, 0.25], [0.70, 0.10, 0.18]])
 
 
@@ -222,7 +231,9 @@ def ramp(values: NDArray[np.float64], low: float, high: float) -> NDArray[np.flo
 
 def text(image: Image.Image, position: tuple[int, int], words: str, size: int = 26, colour: str = "#1c222c") -> None:
     """Writes on a picture; `position` is the text's left upper corner."""
-    ImageDraw.Draw(image).text(position, words, fill=colour, font=ImageFont.load_default(size))
+    font = ImageFont.load_default(size)
+    # A light rim keeps the words readable over the mesh.
+    ImageDraw.Draw(image).text(position, words, fill=colour, font=font, stroke_width=3, stroke_fill="#f4f7fa")
 
 
 def colour_bar(image: Image.Image, low: float, high: float, title: str) -> None:
