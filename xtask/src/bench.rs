@@ -91,5 +91,9 @@ fn json_lines(command: &mut std::process::Command) -> Outcome<Vec<Value>> {
     if !output.status.success() {
         return Err(format!("{program} failed ({}):\n{text}", output.status));
     }
-    Ok(text.lines().filter(|line| line.starts_with('{')).filter_map(|line| serde_json::from_str(line).ok()).collect())
+    Ok(text
+        .lines()
+        .filter(|line| line.starts_with('{'))
+        .filter_map(|line| serde_json::from_str(line).ok())
+        .collect())
 }

@@ -20,7 +20,11 @@ fn rust_lints() -> Outcome {
 fn python_lints(python: &Python) -> Outcome {
     run(
         "mypy on the client",
-        python.module("mypy").args(["--config-file", "client/python/pyproject.toml", "client/python/src/moldline"]),
+        python.module("mypy").args([
+            "--config-file",
+            "client/python/pyproject.toml",
+            "client/python/src/moldline",
+        ]),
     )
 }
 

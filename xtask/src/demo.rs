@@ -32,7 +32,8 @@ pub fn figures(large: Option<PathBuf>) -> Outcome {
 /// Folder of the mesh of about 100,000 cells: the one given, or `out/e175-100k`, made if it is not there.
 pub fn large_mesh(python: &Python, given: Option<PathBuf>) -> Outcome<PathBuf> {
     if let Some(folder) = given {
-        let folder = std::path::absolute(&folder).map_err(|error| format!("{}: {error}", folder.display()))?;
+        let folder =
+            std::path::absolute(&folder).map_err(|error| format!("{}: {error}", folder.display()))?;
         return match folder.join("mesh.msh").is_file() {
             true => Ok(folder),
             false => Err(format!("there is no mesh.msh in {}", folder.display())),

@@ -32,7 +32,8 @@ pub fn command(program: impl AsRef<OsStr>) -> Command {
 pub fn run(title: &str, command: &mut Command) -> Outcome {
     eprintln!("\n==> {title}");
     let start = Instant::now();
-    let status = command.status().map_err(|error| format!("{title}: cannot run {}: {error}", show(command)))?;
+    let status =
+        command.status().map_err(|error| format!("{title}: cannot run {}: {error}", show(command)))?;
     if status.success() {
         eprintln!("    {title}: done in {:.1} s", start.elapsed().as_secs_f64());
         Ok(())
@@ -45,7 +46,14 @@ pub fn run(title: &str, command: &mut Command) -> Outcome {
 pub fn build_moldline(release: bool) -> Outcome<PathBuf> {
     eprintln!("\n==> build moldline");
     let mut command = cargo();
-    command.args(["build", "--locked", "--package", "moldline", "--message-format", "json-render-diagnostics"]);
+    command.args([
+        "build",
+        "--locked",
+        "--package",
+        "moldline",
+        "--message-format",
+        "json-render-diagnostics",
+    ]);
     if release {
         command.arg("--release");
     }

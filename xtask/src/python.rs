@@ -26,7 +26,8 @@ impl Python {
     /// The environment, made or brought up to date if what it is made from has changed.
     pub fn ready() -> Outcome<Self> {
         let folder = root().join("target/venv");
-        let python = Self { program: folder.join(if cfg!(windows) { "Scripts/python.exe" } else { "bin/python" }) };
+        let python =
+            Self { program: folder.join(if cfg!(windows) { "Scripts/python.exe" } else { "bin/python" }) };
         let stamp = folder.join("made-from");
         let (interpreter, version) = interpreter()?;
         let wanted = ingredients(&version)?;
@@ -35,7 +36,8 @@ impl Python {
         }
         // Made anew: an environment half upgraded is worse than a minute lost.
         if folder.exists() {
-            fs::remove_dir_all(&folder).map_err(|error| format!("cannot remove {}: {error}", folder.display()))?;
+            fs::remove_dir_all(&folder)
+                .map_err(|error| format!("cannot remove {}: {error}", folder.display()))?;
         }
         let title = format!("Python environment in {} ({version})", folder.display());
         run(&title, command(interpreter).args(["-m", "venv"]).arg(&folder))?;
@@ -120,7 +122,8 @@ fn ingredients(version: &str) -> Outcome<String> {
     files.append(&mut messages);
     let mut text = format!("Python {version}\n");
     for file in files {
-        let content = fs::read_to_string(&file).map_err(|error| format!("cannot read {}: {error}", file.display()))?;
+        let content =
+            fs::read_to_string(&file).map_err(|error| format!("cannot read {}: {error}", file.display()))?;
         text += &format!("---- {}\n{content}\n", file.display());
     }
     Ok(text)
