@@ -16,8 +16,8 @@ use crate::{
 
 /// Newton and bisection steps of the polish at most.
 const POLISH_STEPS: usize = 80;
-/// Share of the line's length that the bracket is widened by in a step.
-const WIDENING: f64 = 1.0 / 64.0;
+/// Samples of the whole line when the bracket has lost the root.
+const SAMPLES: usize = 128;
 /// Newton steps at a point where three components meet.
 const JUNCTION_STEPS: usize = 50;
 
@@ -35,6 +35,8 @@ pub struct SeamLine {
     pub bracket: [f64; 2],
     /// Ends of the component along the line.
     pub limits: [f64; 2],
+    /// Whether the line comes from inside the target, as lambda grows, at the root that is meant.
+    pub from_inside: bool,
     /// Components whose union is to be met.
     pub targets: Vec<u32>,
     /// The start moves with the junctions at the ends of the seam: `(junction, weight)`.
@@ -294,26 +296,25 @@ impl SeamSolver {
         along(body, &line.start, shift, 1.0)
     }
 
-    /// A bracket with a change of sign: the stored one, or, searched outward from it, the nearest one along the line.
+    /// A bracket in which `g` changes sign the way it does in the reference state: the stored one, or, when the seam has
+    /// left it, the nearest such one on the line.
     fn bracket(&self, line: &SeamLine, g: &impl Fn(f64, f64) -> Residual) -> Result<([f64; 2], f64), f64> {
-        let [mut l, mut u] = line.bracket;
-        let (mut g_l, mut g_u) = (g(l, f64::INFINITY).g, g(u, f64::INFINITY).g);
-        let step = WIDENING * (line.limits[1] - line.limits[0]);
-        while (g_l < 0.0) == (g_u < 0.0) {
-            let (below, above) = ((l - step).max(line.limits[0]), (u + step).min(line.limits[1]));
-            if below == l && above == u {
-                return Err(g_l.abs().min(g_u.abs()));
-            }
-            let (g_below, g_above) = (g(below, f64::INFINITY).g, g(above, f64::INFINITY).g);
-            if (g_below < 0.0) != (g_l < 0.0) {
-                return Ok(([below, l], g_below));
-            }
-            if (g_above < 0.0) != (g_u < 0.0) {
-                return Ok(([u, above], g_u));
-            }
-            (l, u, g_l, g_u) = (below, above, g_below, g_above);
+        let value = |lambda: f64| g(lambda, f64::INFINITY).g;
+        let crosses = |g_l: f64, g_u: f64| (g_l < 0.0) == line.from_inside && (g_u < 0.0) != line.from_inside;
+        let [l, u] = line.bracket;
+        let (g_l, g_u) = (value(l), value(u));
+        if crosses(g_l, g_u) {
+            return Ok(([l, u], g_l));
         }
-        Ok(([l, u], g_l))
+        let [start, end] = line.limits;
+        let at = |k: usize| start + (end - start) * k as f64 / SAMPLES as f64;
+        let values: Vec<f64> = (0..=SAMPLES).map(|k| value(at(k))).collect();
+        let middle = |k: usize| (0.5 * (at(k) + at(k + 1))).abs();
+        (0..SAMPLES)
+            .filter(|&k| crosses(values[k], values[k + 1]))
+            .min_by(|&a, &b| middle(a).total_cmp(&middle(b)))
+            .map(|k| ([at(k), at(k + 1)], values[k]))
+            .ok_or_else(|| values.iter().fold(f64::INFINITY, |least, g| least.min(g.abs())))
     }
 
     /// Newton's method for two distances in the two parameters of the reference component.

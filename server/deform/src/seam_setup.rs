@@ -158,7 +158,7 @@ fn row_lines(
         .par_iter()
         .map(|&v| choices.iter().map(|&choice| transversality(v, choice, ownership, bodies)).collect())
         .collect();
-    let worst = |k: usize| table.iter().map(|t| t[k]).filter(|t| *t >= 0.0).fold(f64::INFINITY, f64::min);
+    let worst = |k: usize| table.iter().map(|t| t[k]).fold(f64::INFINITY, f64::min);
     let best_of_row = (0..choices.len()).fold(0, |best, k| if worst(k) > worst(best) { k } else { best });
     row.par_iter()
         .zip(&table)
@@ -182,11 +182,15 @@ fn row_lines(
         .collect()
 }
 
-/// `|n_t . S_a| / |S_a|`, the sine between the line and the target's surface; negative if the line would leave the sharp
+/// `|n_t . S_a| / |S_a|`, the sine between the line and the target's surface; negative if the line would leave a sharp
 /// edge that the vertex slides along.
 fn transversality(vertex: u32, choice: Choice, ownership: &Ownership, bodies: &[Body]) -> f64 {
     let Some(own) = ownership.on(vertex, choice.component) else { return -1.0 };
     let body = &bodies[choice.component as usize];
+    let bound = |a: &Attachment| a.component != choice.component && a.freedom != Freedom::Surface;
+    if ownership.of(vertex).iter().any(bound) {
+        return -1.0;
+    }
     match own.freedom {
         Freedom::Fixed => return -1.0,
         Freedom::Edge(_) if choice.direction == Direction::Across => return -1.0,
@@ -272,6 +276,7 @@ fn line(vertex: u32, choice: Choice, ownership: &Ownership, bodies: &[Body]) -> 
         direction,
         bracket: [-bracket_below, bracket_above],
         limits: [-length_below, length_above],
+        from_inside: below,
         targets: vec![other.component],
         carried: Vec::new(),
     })
