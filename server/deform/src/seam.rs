@@ -28,8 +28,8 @@ pub struct SeamLine {
     pub reference: u32,
     /// The vertex in the reference state, `lambda = 0`.
     pub start: Location,
-    /// Direction of the line in the parameters `(u, v)` of the patch it starts in: one of them where that crosses the
-    /// target well (the other one is then held, as in the paper), else straight across the seam.
+    /// Direction of the line in the parameters `(u, v)` of the patch it starts in: one of them, the other one held as in the
+    /// paper, or straight across the seam; whichever crosses the target best over a whole row of vertices.
     pub direction: [f64; 2],
     /// Bracket `[l, u]` of lambda, and how far the line goes on at most.
     pub bracket: [f64; 2],

@@ -149,7 +149,6 @@ fn row_lines(
         .into_iter()
         .flat_map(|component| [Direction::U, Direction::V].map(|direction| choose(component, direction)))
         .collect();
-    let parameters = choices.len();
     // Across the seam on the larger of the two, which is the flatter one there.
     let larger = if bodies[a as usize].size() >= bodies[b as usize].size() { a } else { b };
     choices.push(choose(larger, Direction::Across));
