@@ -392,10 +392,10 @@ fn shorter_way(body: &Body, patch: u32, parameter: usize, difference: f64) -> f6
 
 /// The closest point, searched within `bound` first.
 fn nearest(body: &Body, x: &Vector3, bound: f64) -> moldline_geometry::FootPoint {
-    if bound.is_finite() {
-        if let Some(foot) = body.closest_point_within(x, bound) {
-            return foot;
-        }
+    if bound.is_finite()
+        && let Some(foot) = body.closest_point_within(x, bound)
+    {
+        return foot;
     }
     body.closest_point(x)
 }

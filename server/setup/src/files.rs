@@ -260,12 +260,12 @@ pub fn read_folder(path: &Path, limits: &Limits) -> Result<(Files, String), Setu
     };
     let mut collector = Collector::new(limits);
     let metadata = std::fs::metadata(path).map_err(io(path))?;
-    if metadata.is_file() {
-        if let Some(kind) = path.file_name().and_then(|name| name.to_str()).and_then(ArchiveKind::of_name) {
-            let files = unpack(kind, &std::fs::read(path).map_err(io(path))?, limits)?;
-            let setup_file = find_setup_file(&files, None)?;
-            return Ok((files, setup_file));
-        }
+    if metadata.is_file()
+        && let Some(kind) = path.file_name().and_then(|name| name.to_str()).and_then(ArchiveKind::of_name)
+    {
+        let files = unpack(kind, &std::fs::read(path).map_err(io(path))?, limits)?;
+        let setup_file = find_setup_file(&files, None)?;
+        return Ok((files, setup_file));
     }
     let read = |collector: &mut Collector<'_>, folder: &Path, name: &str| {
         let path = folder.join(name);

@@ -1,5 +1,8 @@
 //! The engine on real set-ups, from their folders alone: the E175, a boom with a fairing, a half model.
 
+// Helpers of tests fail by panicking, like the tests themselves.
+#![allow(clippy::unwrap_used)]
+
 use std::path::{Path, PathBuf};
 
 use moldline_deform::{
