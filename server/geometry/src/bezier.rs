@@ -5,20 +5,23 @@
 //! the piece and, for the squared distance to a given point, a proof that it is convex over the piece.
 
 use crate::Vector3;
+use crate::newton::Rectangle;
 use moldline_spline::{LinearRow, MAX_DEGREE, Surface};
 
-const SIDE: usize = MAX_DEGREE + 1;
+/// Enough for every degree.
+pub(crate) const SIDE: usize = MAX_DEGREE + 1;
 
-/// Homogeneous Bezier control points over a parameter rectangle.
+/// Homogeneous Bezier control points over a parameter rectangle, for degrees below `N`.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Net {
+pub(crate) struct Net<const N: usize> {
     p: usize,
     q: usize,
-    /// Index `i (q + 1) + j`.
-    points: [[f64; 4]; SIDE * SIDE],
+    rows: [[[f64; 4]; N]; N],
 }
 
-impl Net {
+impl<const N: usize> Net<N> {
+    const ZERO: Self = Self { p: 0, q: 0, rows: [[[0.0; 4]; N]; N] };
+
     /// The piece of a patch over a rectangle within one knot interval in each direction.
     pub fn new(surface: &Surface, control_points: &[[f64; 4]], [u, v]: [(f64, f64); 2]) -> Self {
         let rows = |knots: &moldline_spline::KnotVector, (a, b): (f64, f64)| {
@@ -38,76 +41,103 @@ impl Net {
         let rows_u = rows(surface.knots_u(), u);
         let rows_v = rows(surface.knots_v(), v);
         let n_v = surface.knots_v().control_point_count();
-        let mut half = [[0.0; 4]; SIDE * SIDE];
+        let mut half = [[[0.0; 4]; N]; N];
         for i in 0..=p {
             let start = (rows_u[0].first + i) * n_v + rows_v[0].first;
             let row = &control_points[start..start + q + 1];
             for j in 0..=q {
                 for (w, c) in rows_v[j].weights.iter().zip(row) {
                     for d in 0..4 {
-                        half[i * (q + 1) + j][d] += w * c[d];
+                        half[i][j][d] += w * c[d];
                     }
                 }
             }
         }
-        let mut points = [[0.0; 4]; SIDE * SIDE];
+        let mut net = Self { p, q, ..Self::ZERO };
         for i in 0..=p {
             for k in 0..=p {
                 let w = rows_u[i].weights[k];
                 for j in 0..=q {
                     for d in 0..4 {
-                        points[i * (q + 1) + j][d] += w * half[k * (q + 1) + j][d];
+                        net.rows[i][j][d] += w * half[k][j][d];
                     }
                 }
             }
         }
-        Self { p, q, points }
+        net
     }
 
-    pub fn points(&self) -> &[[f64; 4]] {
-        &self.points[..(self.p + 1) * (self.q + 1)]
+    pub fn points(&self) -> impl Iterator<Item = &[f64; 4]> {
+        self.rows[..=self.p].iter().flat_map(|row| &row[..=self.q])
     }
 
     /// The two halves along `u` or `v`, by de Casteljau's construction.
     pub fn halves(&self, along_u: bool) -> [Self; 2] {
         let (mut low, mut high) = (*self, *self);
-        let (n, count, stride, other) =
-            if along_u { (self.p, self.q + 1, self.q + 1, 1) } else { (self.q, self.p + 1, 1, self.q + 1) };
-        for line in 0..count {
-            let at = |k: usize| line * other + k * stride;
-            for level in 1..=n {
-                // `high` holds the current column of the triangle; its first entries are final for `low`.
-                for k in 0..=n - level {
-                    let (a, b) = (high.points[at(k)], high.points[at(k + 1)]);
-                    high.points[at(k)] = std::array::from_fn(|d| 0.5 * (a[d] + b[d]));
+        let middle = |a: &[f64; 4], b: &[f64; 4]| std::array::from_fn(|d| 0.5 * (a[d] + b[d]));
+        // `high` holds the current column of the triangle; its first entries are final for `low`.
+        if along_u {
+            for level in 1..=self.p {
+                for i in 0..=self.p - level {
+                    for j in 0..=self.q {
+                        high.rows[i][j] = middle(&high.rows[i][j], &high.rows[i + 1][j]);
+                    }
                 }
-                low.points[at(level)] = high.points[at(0)];
+                low.rows[level] = high.rows[0];
+            }
+        } else {
+            for (low, high) in low.rows.iter_mut().zip(&mut high.rows).take(self.p + 1) {
+                for level in 1..=self.q {
+                    for j in 0..=self.q - level {
+                        high[j] = middle(&high[j], &high[j + 1]);
+                    }
+                    low[level] = high[0];
+                }
             }
         }
         [low, high]
     }
 
-    fn difference(&self, along_u: bool) -> Self {
-        let (p, q) = if along_u { (self.p - 1, self.q) } else { (self.p, self.q - 1) };
-        // Derivatives are with respect to a parameter that runs from -1 to 1.
-        let factor = 0.5 * if along_u { self.p } else { self.q } as f64;
-        let step = if along_u { self.q + 1 } else { 1 };
-        let mut points = [[0.0; 4]; SIDE * SIDE];
-        for i in 0..=p {
-            for j in 0..=q {
-                let k = i * (self.q + 1) + j;
-                let (a, b) = (self.points[k], self.points[k + step]);
-                points[i * (q + 1) + j] = std::array::from_fn(|d| factor * (b[d] - a[d]));
+    /// The net of a side, or of a corner: of the part of the piece's rectangle that has no extent where the piece has.
+    pub fn restricted(&self, [u, v]: Rectangle, [part_u, part_v]: Rectangle) -> Self {
+        let mut out = *self;
+        if part_u.0 == part_u.1 {
+            out.rows[0] = self.rows[if part_u.0 == u.0 { 0 } else { self.p }];
+            out.p = 0;
+        }
+        if part_v.0 == part_v.1 {
+            let j = if part_v.0 == v.0 { 0 } else { self.q };
+            for row in &mut out.rows[..=out.p] {
+                row[0] = row[j];
+            }
+            out.q = 0;
+        }
+        out
+    }
+
+    /// The derivative with respect to a parameter that runs from -1 to 1; zero for degree 0.
+    fn derivative(&self, along_u: bool) -> Self {
+        let n = if along_u { self.p } else { self.q };
+        if n == 0 {
+            return Self::ZERO;
+        }
+        let factor = 0.5 * n as f64;
+        let (du, dv) = (usize::from(along_u), usize::from(!along_u));
+        let mut out = Self { p: self.p - du, q: self.q - dv, ..Self::ZERO };
+        for i in 0..=out.p {
+            for j in 0..=out.q {
+                let (a, b) = (&self.rows[i][j], &self.rows[i + du][j + dv]);
+                out.rows[i][j] = std::array::from_fn(|d| factor * (b[d] - a[d]));
             }
         }
-        Self { p, q, points }
+        out
     }
 
     /// The homogeneous point in the middle.
     fn middle(&self) -> [f64; 4] {
         let bernstein = |n: usize| {
-            let mut b = [0.0; SIDE];
-            b[0] = 0.5f64.powi(n as i32);
+            let mut b = [0.0; N];
+            b[0] = 1.0 / (1u32 << n) as f64;
             for i in 1..=n {
                 b[i] = b[i - 1] * (n + 1 - i) as f64 / i as f64;
             }
@@ -119,7 +149,7 @@ impl Net {
             for j in 0..=self.q {
                 let w = bu[i] * bv[j];
                 for d in 0..4 {
-                    sum[d] += w * self.points[i * (self.q + 1) + j][d];
+                    sum[d] += w * self.rows[i][j][d];
                 }
             }
         }
@@ -170,17 +200,14 @@ pub(crate) struct Shape {
 }
 
 impl Shape {
-    pub fn new(net: &Net, rational: bool) -> Self {
-        let zero = Net { p: 0, q: 0, points: [[0.0; 4]; SIDE * SIDE] };
-        let derive = |n: &Net, along_u: bool| {
-            if (along_u && n.p == 0) || (!along_u && n.q == 0) { zero } else { n.difference(along_u) }
-        };
-        let n_u = derive(net, true);
-        let n_v = derive(net, false);
-        let n_uu = derive(&n_u, true);
-        let n_uv = derive(&n_u, false);
-        let n_vv = derive(&n_v, false);
-        let third = [derive(&n_uu, true), derive(&n_uu, false), derive(&n_vv, true), derive(&n_vv, false)];
+    pub fn new<const N: usize>(net: &Net<N>, rational: bool) -> Self {
+        let n_u = net.derivative(true);
+        let n_v = net.derivative(false);
+        let n_uu = n_u.derivative(true);
+        let n_uv = n_u.derivative(false);
+        let n_vv = n_v.derivative(false);
+        let third =
+            [n_uu.derivative(true), n_uu.derivative(false), n_vv.derivative(true), n_vv.derivative(false)];
 
         let s = net.middle();
         let center = position(&s);
@@ -190,7 +217,7 @@ impl Shape {
         if rational {
             d_u = quotient(&h_u, center * h_u[3]);
             d_v = quotient(&h_v, center * h_v[3]);
-            let second = |n: &Net, (a, sa): (&[f64; 4], &Vector3), (b, sb): (&[f64; 4], &Vector3)| {
+            let second = |n: &Net<N>, (a, sa): (&[f64; 4], &Vector3), (b, sb): (&[f64; 4], &Vector3)| {
                 let h = n.middle();
                 quotient(&h, sb * a[3] + sa * b[3] + center * h[3])
             };
@@ -212,7 +239,7 @@ impl Shape {
 
         // Bounds over the piece. With S - c = Q / w Leibniz' rule gives, order by order,
         // |S_a| <= (|Q_a| + sum over 0 < b <= a of binomial(a, b) |w_b| |S_(a-b)|) / min w.
-        let bound = |n: &Net| n.bounds(&center);
+        let bound = |n: &Net<N>| n.bounds(&center);
         let ((q_u, w_u), (q_v, w_v)) = (bound(&n_u), bound(&n_v));
         let ((q_uu, w_uu), (q_uv, w_uv), (q_vv, w_vv)) = (bound(&n_uu), bound(&n_uv), bound(&n_vv));
         let [t_uuu, t_uuv, t_uvv, t_vvv] = [0, 1, 2, 3].map(|k| bound(&third[k]));
@@ -278,21 +305,41 @@ impl Shape {
         sum
     }
 
-    /// Whether `|S - x|^2` is proven to be convex over the piece: its Hessian `S_a . S_b + S_ab . (S - x)` is positive
-    /// definite in the middle with a margin larger than it can change over the piece.
+    /// The part of the piece, given by its parameter rectangle, that is proven to contain a minimum of `|S - x|^2` over
+    /// the piece, and whether `|S - x|^2` is proven to be convex over that part. With `f = |S - x|^2 / 2`:
+    /// - the part is a side, or a corner, if the gradient `S_a . (S - x)` keeps its sign over the piece;
+    /// - `f` is convex if the Hessian `S_a . S_b + S_ab . (S - x)` is positive definite in the middle with a margin
+    ///   larger than it can change over the piece; along a side one diagonal entry is enough.
     #[inline]
-    pub fn is_convex_for(&self, x: &Vector3) -> bool {
+    pub fn minimum_part(&self, x: &Vector3, [u, v]: Rectangle) -> (Rectangle, bool) {
         let r = self.center - x;
         let reach = r.norm() + self.radius;
         let [lu, lv] = self.lengths;
         let [eu, ev] = self.stray;
         let change = |k: usize| self.stray2[k] * reach + self.lengths2[k] * self.radius;
+        let (cu, cuv, cv) = (change(0), change(1), change(2));
+        let bend = [self.dd[0].dot(&r), self.dd[1].dot(&r), self.dd[2].dot(&r)];
+        // Largest |f_uu|, |f_vv|, |f_uv| over the piece, whose parameters are at most 1 from the middle.
+        let fuu = (lu * lu + bend[0]).abs() + 2.0 * lu * eu + eu * eu + cu;
+        let fvv = (lv * lv + bend[2]).abs() + 2.0 * lv * ev + ev * ev + cv;
+        let fuv = (self.d[0].dot(&self.d[1]) + bend[1]).abs() + lu * ev + lv * eu + eu * ev + cuv;
+        let (gu, gv) = (self.d[0].dot(&r), self.d[1].dot(&r));
+        let side = |g: f64, change: f64, (low, high): (f64, f64)| match g {
+            _ if g.abs() < change => (low, high),
+            _ if g > 0.0 => (low, low),
+            _ => (high, high),
+        };
+        let (u, v) = (side(gu, fuu + fuv, u), side(gv, fvv + fuv, v));
         let (su, sv) = ((lu - eu).max(0.0), (lv - ev).max(0.0));
-        let huu = su * su + self.dd[0].dot(&r) - change(0);
-        let hvv = sv * sv + self.dd[2].dot(&r) - change(2);
-        let huv =
-            (self.d[0].dot(&self.d[1]) + self.dd[1].dot(&r)).abs() + lu * ev + lv * eu + eu * ev + change(1);
-        huu > 0.0 && hvv > 0.0 && huu * hvv > huv * huv
+        let huu = su * su + bend[0] - cu;
+        let hvv = sv * sv + bend[2] - cv;
+        let convex = match (u.0 == u.1, v.0 == v.1) {
+            (true, true) => true,
+            (true, false) => hvv > 0.0,
+            (false, true) => huu > 0.0,
+            (false, false) => huu > 0.0 && hvv > 0.0 && huu * hvv > fuv * fuv,
+        };
+        ([u, v], convex)
     }
 
     /// Whether the piece should rather be cut along `u` than along `v`: the direction in which it bends more, or is

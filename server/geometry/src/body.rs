@@ -6,10 +6,15 @@
 //! at the tangent cone only). At a collapsed side the weighted mean is an integral over the directions that leave it.
 
 use crate::hierarchy::Hierarchy;
-use crate::newton::{self, LAST_STEP, NO_STEP};
+use crate::newton::{self, Iterate, Progress};
 use crate::topology::Incidence;
 use crate::{Aabb, Component, Side, SurfaceJet, SurfacePoint, Vector3, VertexKind};
 use std::sync::{Arc, OnceLock};
+
+/// Steps of a local descent; five are usual.
+const MAX_STEPS: usize = 200;
+/// Patch sides it crosses before it settles for the patch that it is on.
+const MAX_MOVES: usize = 50;
 
 /// A point of a component: `mu = (i, u, v)` with the parameters in the patch's own domain.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -143,8 +148,13 @@ impl Body {
     /// The outward unit normal; at poles and collapsed sides its limit from inside the patch. Zero where there is no
     /// limit (patches without area).
     pub fn normal(&self, l: &Location) -> Vector3 {
+        self.normal_at(l, &self.point(l))
+    }
+
+    #[inline]
+    fn normal_at(&self, l: &Location, point: &SurfacePoint) -> Vector3 {
         let patch = &self.component.patches()[l.patch as usize];
-        let n = patch.normal(&self.control_points, l.u, l.v);
+        let n = patch.normal_at(&self.control_points, l.u, l.v, point);
         if patch.flipped { -n } else { n }
     }
 
@@ -185,58 +195,28 @@ impl Body {
     pub(crate) fn descend(&self, x: &Vector3, hint: &Location) -> Option<Location> {
         let size = self.size();
         let patches = self.component.patches();
-        let mut l = *hint;
-        let mut domain = patches[l.patch as usize].surface.domain();
-        l.u = l.u.clamp(domain[0].0, domain[0].1);
-        l.v = l.v.clamp(domain[1].0, domain[1].1);
-        let mut jet = self.jet(&l);
-        let mut r = jet.position - x;
-        let mut squared = r.norm_squared();
+        let start = |l: &Location| {
+            let [u, v] = patches[l.patch as usize].surface.domain();
+            let l = Location { patch: l.patch, u: l.u.clamp(u.0, u.1), v: l.v.clamp(v.0, v.1) };
+            (l.patch, [u, v], Iterate::new(x, size, (l.u, l.v), self.jet(&l)))
+        };
+        let (mut patch, mut domain, mut i) = start(hint);
         let mut moves = 0;
-        for _ in 0..100 {
-            let s = newton::step(&jet, &r, l.u, l.v, domain);
-            if s.held != [false; 2] {
+        for _ in 0..MAX_STEPS {
+            let held = i.held(domain);
+            if held != [false; 2] && moves < MAX_MOVES {
                 // At a side that the gradient pushes against: go on behind it if that leads down.
-                if let Some(to) = self.descending_neighbour(&l, &r, s.held) {
+                let l = Location { patch, u: i.u, v: i.v };
+                if let Some(to) = self.descending_neighbour(&l, &i.r, held) {
                     moves += 1;
-                    if moves > 50 {
-                        return None;
-                    }
-                    l = to;
-                    domain = patches[l.patch as usize].surface.domain();
-                    jet = self.jet(&l);
-                    r = jet.position - x;
-                    squared = r.norm_squared();
+                    (patch, domain, i) = start(&to);
                     continue;
                 }
             }
-            if s.length <= NO_STEP * size {
-                return Some(l);
-            }
-            let last = s.newton && s.length <= LAST_STEP * size;
-            let mut scale = 1.0;
-            loop {
-                let trial = Location {
-                    patch: l.patch,
-                    u: (l.u + scale * s.du).clamp(domain[0].0, domain[0].1),
-                    v: (l.v + scale * s.dv).clamp(domain[1].0, domain[1].1),
-                };
-                if last {
-                    return Some(trial);
-                }
-                let trial_jet = self.jet(&trial);
-                let trial_r = trial_jet.position - x;
-                let trial_squared = trial_r.norm_squared();
-                if newton::is_progress(&s, trial_squared, squared, size) {
-                    (l, jet, r, squared) = (trial, trial_jet, trial_r, trial_squared);
-                    break;
-                }
-                scale *= 0.5;
-                if scale < 1e-5 {
-                    // No descent although the step is not negligible: rounding if the step is small, else failure.
-                    let small = s.length <= 1e-7 * size;
-                    return small.then_some(l);
-                }
+            let surface = &patches[patch as usize].surface;
+            let points = self.patch_points(patch);
+            if i.advance(domain, |u, v| surface.jet(points, u, v)) == Progress::Converged {
+                return Some(Location { patch, u: i.u, v: i.v });
             }
         }
         None
@@ -402,14 +382,15 @@ impl Body {
         let patch = &self.component.patches()[l.patch as usize];
         let [ru, rv] = patch.surface.domain();
         let l = Location { patch: l.patch, u: l.u.clamp(ru.0, ru.1), v: l.v.clamp(rv.0, rv.1) };
-        let position = self.position(&l);
+        let point = self.point(&l);
+        let position = point.position;
         let d = x - position;
-        let (feature, sum) = self.feature_and_normal(&l);
+        let (feature, sum) = self.feature_and_normal(&l, &point);
         let norm = sum.norm();
         let length = d.norm();
         let (normal, distance) = if norm <= 1e-7 {
             // Opposite normals: an edge without wedge. What is nearest to it is outside.
-            let away = if length > 0.0 { d / length } else { self.normal(&l) };
+            let away = if length > 0.0 { d / length } else { self.normal_at(&l, &point) };
             (away, length)
         } else {
             let n = sum / norm;
@@ -422,14 +403,16 @@ impl Body {
     }
 
     /// The feature that a location lies on, and the mean normal there, not normalised.
-    fn feature_and_normal(&self, l: &Location) -> (Feature, Vector3) {
+    fn feature_and_normal(&self, l: &Location, point: &SurfacePoint) -> (Feature, Vector3) {
         let [u, v] = self.component.patches()[l.patch as usize].surface.domain();
         let side_u = (l.u <= u.0).then_some(Side::UMin).or((l.u >= u.1).then_some(Side::UMax));
         let side_v = (l.v <= v.0).then_some(Side::VMin).or((l.v >= v.1).then_some(Side::VMax));
-        let (Some(side), other) = (side_u.or(side_v), side_v) else { return (Feature::Face, self.normal(l)) };
+        let (Some(side), other) = (side_u.or(side_v), side_v) else {
+            return (Feature::Face, self.normal_at(l, point));
+        };
         let t = if side.holds_u() { l.v } else { l.u };
         let Some(piece) = self.component.piece(l.patch, side, t) else {
-            return (Feature::Face, self.normal(l));
+            return (Feature::Face, self.normal_at(l, point));
         };
         let edge = &self.component.edges()[piece.edge as usize];
         let range = edge.sides[piece.index as usize].range;
@@ -456,7 +439,7 @@ impl Body {
         }
         let feature = if edge.sharp { Feature::Edge { edge: piece.edge } } else { Feature::Face };
         let behind = self.cross(l, side).map_or(Vector3::zeros(), |c| self.normal(&c.to));
-        (feature, self.normal(l) + behind)
+        (feature, self.normal_at(l, point) + behind)
     }
 
     /// The angle-weighted mean of the normals around a vertex, divided by the whole angle.

@@ -205,12 +205,17 @@ impl Patch {
     /// The unit normal `S_u x S_v`, not yet turned outward; its limit where the product vanishes, and zero if there is
     /// none.
     pub(crate) fn normal(&self, control_points: &[[f64; 4]], u: f64, v: f64) -> Vector3 {
-        let control_points = &control_points[self.range.clone()];
+        self.normal_at(control_points, u, v, &self.point(control_points, u, v))
+    }
+
+    /// The same for a point that is already evaluated.
+    #[inline]
+    pub(crate) fn normal_at(&self, control_points: &[[f64; 4]], u: f64, v: f64, p: &SurfacePoint) -> Vector3 {
         let [(u0, u1), (v0, v1)] = self.surface.domain();
-        let p = self.surface.point(control_points, u, v);
         if let Some(n) = cross(&p.d_u, &p.d_v, u1 - u0, v1 - v0) {
             return n;
         }
+        let control_points = &control_points[self.range.clone()];
         // On a collapsed side the derivative along it vanishes; to first order it grows with the mixed derivative.
         let j = self.surface.jet(control_points, u, v);
         let (middle_u, middle_v) = (0.5 * (u0 + u1), 0.5 * (v0 + v1));

@@ -5,6 +5,7 @@
 //! improves the bound:
 //! - its box is further away than the bound (axis-aligned boxes in the tree, oriented ones at the leaves);
 //! - its control points lie beyond the plane through the best point across the line of sight;
+//! - the distance falls towards one of its sides all over it, so that only that side need be looked at;
 //! - the squared distance is convex over it, so that a local minimisation, broken off as soon as the tangent plane of the
 //!   squared distance exceeds the bound, is a global one;
 //! - none of these: it is halved, and the halves are examined in turn.
@@ -13,9 +14,10 @@
 //! continuum of nearest points, such as those on the axis of a tube: halving would not end there within reason. After
 //! every `PATIENCE` halvings the tolerance doubles; the point returned is an exact local minimum all the same.
 
-use crate::bezier::{Net, Shape, position};
+use crate::bezier::{Net, SIDE, Shape, position};
 use crate::newton::{self, Rectangle};
 use crate::{Aabb, Body, Location, Vector3};
+use moldline_spline::Surface;
 
 /// Relative to the size of the body.
 const TOLERANCE: f64 = 1e-14;
@@ -26,6 +28,8 @@ const TURNING: f64 = 0.6;
 const MAX_CUTS: usize = 4;
 /// Pieces smaller than this, relative to the body, are not halved any more.
 const SMALLEST: f64 = 1e-14;
+/// Control points a side of the nets of cubic patches; the others' are much larger.
+const SMALL: usize = 4;
 /// Entries of the stack of a traversal: the tree is balanced, so its depth is the logarithm of the number of leaves.
 const STACK: usize = 64;
 
@@ -68,15 +72,20 @@ impl Hierarchy {
         for (index, patch) in body.component().patches().iter().enumerate() {
             let points = body.patch_points(index as u32);
             let surface = &patch.surface;
+            let mut add = |bounds, shape, rectangle| {
+                boxes.push(bounds);
+                leaves.push(Leaf { patch: index as u32, rectangle, shape });
+            };
             for u in surface.knots_u().breaks().windows(2) {
                 for v in surface.knots_v().breaks().windows(2) {
                     let rectangle = [(u[0], u[1]), (v[0], v[1])];
-                    let net = Net::new(surface, points, rectangle);
-                    let mut add = |net: &Net, shape: Shape, rectangle| {
-                        boxes.push(Aabb::around(net.points().iter().map(position)));
-                        leaves.push(Leaf { patch: index as u32, rectangle, shape });
-                    };
-                    cut(&net, rectangle, surface.is_rational(), MAX_CUTS, &mut add);
+                    if is_small(surface) {
+                        let net = Net::<SMALL>::new(surface, points, rectangle);
+                        cut(&net, rectangle, surface.is_rational(), MAX_CUTS, &mut add);
+                    } else {
+                        let net = Net::<SIDE>::new(surface, points, rectangle);
+                        cut(&net, rectangle, surface.is_rational(), MAX_CUTS, &mut add);
+                    }
                 }
             }
         }
@@ -169,13 +178,17 @@ impl Query<'_> {
         if leaf.shape.squared_distance(self.x) >= self.limit() {
             return;
         }
-        if leaf.shape.is_convex_for(self.x) {
-            self.minimise_convex(leaf.patch, leaf.rectangle);
-            return;
+        let (part, convex) = leaf.shape.minimum_part(self.x, leaf.rectangle);
+        if convex {
+            return self.minimise_convex(leaf.patch, part);
         }
-        let patch = &self.body.component().patches()[leaf.patch as usize];
-        let net = Net::new(&patch.surface, self.body.patch_points(leaf.patch), leaf.rectangle);
-        self.refine(leaf.patch, leaf.rectangle, &net, Some(&leaf.shape));
+        let surface = &self.body.component().patches()[leaf.patch as usize].surface;
+        let points = self.body.patch_points(leaf.patch);
+        if is_small(surface) {
+            self.refine(leaf, part, &Net::<SMALL>::new(surface, points, leaf.rectangle));
+        } else {
+            self.refine(leaf, part, &Net::<SIDE>::new(surface, points, leaf.rectangle));
+        }
     }
 
     /// The rectangle's minimum, if it is below the limit; the squared distance is convex over it.
@@ -199,31 +212,42 @@ impl Query<'_> {
         }
     }
 
-    /// Examines a piece whose box is near and over which nothing is proven yet.
-    fn refine(&mut self, patch: u32, rectangle: Rectangle, net: &Net, shape: Option<&Shape>) {
-        if self.best.is_some() {
-            // Everything is beyond the plane through the best point across the line of sight.
-            let sight = (self.position - self.x) / self.distance;
-            let limit = self.limit().sqrt();
-            if net.points().iter().all(|h| (position(h) - self.x).dot(&sight) >= limit) {
-                return;
-            }
+    /// Whether everything is beyond the plane through the best point across the line of sight.
+    fn is_beyond<const N: usize>(&self, net: &Net<N>) -> bool {
+        let sight = (self.position - self.x) / self.distance;
+        let limit = self.limit().sqrt();
+        self.best.is_some() && net.points().all(|h| (position(h) - self.x).dot(&sight) >= limit)
+    }
+
+    /// Examines a leaf of which nothing more is proven than that its minimum is in `part`.
+    fn refine<const N: usize>(&mut self, leaf: &Leaf, part: Rectangle, net: &Net<N>) {
+        if self.is_beyond(net) {
+            return;
         }
-        let computed;
-        let shape = match shape {
-            Some(shape) => shape,
-            None => {
-                let rational = self.body.component().patches()[patch as usize].surface.is_rational();
-                computed = Shape::new(net, rational);
-                if computed.squared_distance(self.x) >= self.limit() {
-                    return;
-                }
-                if computed.is_convex_for(self.x) {
-                    return self.minimise_convex(patch, rectangle);
-                }
-                &computed
-            }
-        };
+        if part == leaf.rectangle {
+            self.halve(leaf.patch, part, net, &leaf.shape);
+        } else {
+            self.examine_net(leaf.patch, part, &net.restricted(leaf.rectangle, part));
+        }
+    }
+
+    fn examine_net<const N: usize>(&mut self, patch: u32, rectangle: Rectangle, net: &Net<N>) {
+        if self.is_beyond(net) {
+            return;
+        }
+        let rational = self.body.component().patches()[patch as usize].surface.is_rational();
+        let shape = Shape::new(net, rational);
+        if shape.squared_distance(self.x) >= self.limit() {
+            return;
+        }
+        match shape.minimum_part(self.x, rectangle) {
+            (part, true) => self.minimise_convex(patch, part),
+            (part, false) if part == rectangle => self.halve(patch, rectangle, net, &shape),
+            (part, false) => self.examine_net(patch, part, &net.restricted(rectangle, part)),
+        }
+    }
+
+    fn halve<const N: usize>(&mut self, patch: u32, rectangle: Rectangle, net: &Net<N>, shape: &Shape) {
         let [u, v] = rectangle;
         let (middle_u, middle_v) = (0.5 * (u.0 + u.1), 0.5 * (v.0 + v.1));
         if shape.radius <= SMALLEST * self.size {
@@ -238,27 +262,32 @@ impl Query<'_> {
             [[u, (v.0, middle_v)], [u, (middle_v, v.1)]]
         };
         // The half that reaches further towards the best direction first: its minimum is likely to dismiss the other.
-        let reach = |net: &Net| {
-            net.points().iter().map(|h| (position(h) - self.x).norm_squared()).fold(f64::INFINITY, f64::min)
+        let reach = |net: &Net<N>| {
+            net.points().map(|h| (position(h) - self.x).norm_squared()).fold(f64::INFINITY, f64::min)
         };
         let order = if reach(&halves[0]) <= reach(&halves[1]) { [0, 1] } else { [1, 0] };
         for k in order {
-            self.refine(patch, rectangles[k], &halves[k], None);
+            self.examine_net(patch, rectangles[k], &halves[k]);
         }
     }
 }
 
+/// Whether nets of `SMALL` control points a side are enough.
+fn is_small(surface: &Surface) -> bool {
+    surface.knots_u().degree().max(surface.knots_v().degree()) < SMALL
+}
+
 /// Cuts a piece until its tangents turn little, and passes the parts on.
-fn cut(
-    net: &Net,
+fn cut<const N: usize>(
+    net: &Net<N>,
     rectangle: Rectangle,
     rational: bool,
     cuts: usize,
-    add: &mut impl FnMut(&Net, Shape, Rectangle),
+    add: &mut impl FnMut(Aabb, Shape, Rectangle),
 ) {
     let shape = Shape::new(net, rational);
     if cuts == 0 || shape.turning() <= TURNING {
-        return add(net, shape, rectangle);
+        return add(Aabb::around(net.points().map(position)), shape, rectangle);
     }
     let [u, v] = rectangle;
     let along_u = shape.cut_along_u();

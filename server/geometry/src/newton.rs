@@ -1,9 +1,10 @@
-//! Safeguarded Newton iterations for foot points: minimise `f = |S - x|^2 / 2` over parameters within bounds.
+//! Newton iterations for foot points within a trust region: minimise `f = |S - x|^2 / 2` over parameters within bounds.
 //!
-//! With `r = S - x` the gradient is `J^T r` and the Hessian `J^T J + r . S_ab`. A step is the Newton step where the
-//! Hessian (of the free parameters) is positive definite and the Gauss-Newton step elsewhere. Parameters at a bound that
-//! the gradient pushes outward are held. No step is longer than `2 |r|`, which no foot point is further away than, and
-//! none may increase the distance.
+//! With `r = S - x` the gradient is `J^T r` and the Hessian `J^T J + r . S_ab`. A step is the global minimum of that
+//! quadratic model, whether convex or not, over the steps that leave neither the bounds nor the trust region (a rectangle
+//! as well, whose sides are as long in space): the Newton step where it may be taken, and exactly along a bound where the
+//! minimum is there. The trust region shrinks where the model promises too much, so that every accepted step decreases
+//! the distance and the iteration ends at a point where the model has nothing to gain.
 
 use crate::component::Patch;
 use crate::{Side, Vector3};
@@ -12,160 +13,188 @@ use moldline_spline::{Surface, SurfaceJet};
 pub(crate) type Rectangle = [(f64, f64); 2];
 
 /// Steps shorter than this, relative to the size of the component, are the last ones of a quadratic iteration.
-pub(crate) const LAST_STEP: f64 = 1e-11;
+const LAST_STEP: f64 = 1e-11;
 /// Steps shorter than this, relative to the size of the component, change nothing any more.
-pub(crate) const NO_STEP: f64 = 1e-15;
+const NO_STEP: f64 = 1e-15;
+
+/// The state of an iteration within a rectangle of parameters.
+pub(crate) struct Iterate<'a> {
+    pub x: &'a Vector3,
+    /// Size of the component, metres.
+    pub size: f64,
+    pub u: f64,
+    pub v: f64,
+    pub jet: SurfaceJet,
+    /// `S - x`.
+    pub r: Vector3,
+    pub squared: f64,
+    /// Half a side of the trust region, metres...
+    trust: f64,
+    /// ... and relative to the parameters' ranges: at a pole lengths in space do not limit how far one turns around it.
+    share: f64,
+}
+
+/// What became of a step.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Progress {
+    Moved,
+    /// The parameters are those of a minimum; the jet may be that of the last iterate but one.
+    Converged,
+}
 
 /// A step in the parameters and what is known about it.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Step {
-    pub du: f64,
-    pub dv: f64,
-    /// Parameters held at a bound that the gradient pushes against.
-    pub held: [bool; 2],
-    /// The step comes from a positive definite Hessian, so that the iteration is quadratic.
-    pub newton: bool,
+struct Step {
+    du: f64,
+    dv: f64,
+    /// The trust region does not limit it, so that the iteration is quadratic.
+    newton: bool,
     /// Length of the step in space, metres.
-    pub length: f64,
+    length: f64,
+    /// By how much the model expects `|S - x|^2` to decrease.
+    decrease: f64,
 }
 
-/// The next step from `(u, v)` within a rectangle.
-#[inline]
-pub(crate) fn step(jet: &SurfaceJet, r: &Vector3, u: f64, v: f64, [ru, rv]: Rectangle) -> Step {
-    let (gu, gv) = (jet.d_u.dot(r), jet.d_v.dot(r));
-    let (guu, guv, gvv) = (jet.d_u.norm_squared(), jet.d_u.dot(&jet.d_v), jet.d_v.norm_squared());
-    let (huu, huv, hvv) = (guu + jet.d_uu.dot(r), guv + jet.d_uv.dot(r), gvv + jet.d_vv.dot(r));
-    let held_u = (u <= ru.0 && gu >= 0.0) || (u >= ru.1 && gu <= 0.0);
-    let held_v = (v <= rv.0 && gv >= 0.0) || (v >= rv.1 && gv <= 0.0);
-    let clamp_u = |du: f64| (u + du).clamp(ru.0, ru.1) - u;
-    let clamp_v = |dv: f64| (v + dv).clamp(rv.0, rv.1) - v;
-    // One parameter: Newton if convex, else Gauss-Newton, nothing where the tangent vanishes.
-    let single = |g: f64, h: f64, gauss: f64| {
-        if h > 1e-8 * gauss {
-            (-g / h, true)
-        } else if gauss > 0.0 {
-            (-g / gauss, false)
-        } else {
-            (0.0, true)
-        }
-    };
-    let (mut du, mut dv, newton) = match (held_u, held_v) {
-        (true, true) => (0.0, 0.0, true),
-        (true, false) => {
-            let (dv, newton) = single(gv, hvv, gvv);
-            (0.0, clamp_v(dv), newton)
-        }
-        (false, true) => {
-            let (du, newton) = single(gu, huu, guu);
-            (clamp_u(du), 0.0, newton)
-        }
-        (false, false) => {
-            let det = huu * hvv - huv * huv;
-            let newton = huu > 0.0 && hvv > 0.0 && det > 1e-8 * guu * gvv;
-            let (a, b, c, det) =
-                if newton { (huu, huv, hvv, det) } else { (guu, guv, gvv, guu * gvv - guv * guv) };
-            if det > 1e-14 * a * c && det > 0.0 {
-                let du = (b * gv - c * gu) / det;
-                let dv = (b * gu - a * gv) / det;
-                let inside = |t: f64, (low, high): (f64, f64)| t >= low && t <= high;
-                if inside(u + du, ru) && inside(v + dv, rv) {
-                    (du, dv, newton)
-                } else {
-                    let (du, dv) =
-                        on_boundary([gu, gv], [a, b, c], [(ru.0 - u, ru.1 - u), (rv.0 - v, rv.1 - v)]);
-                    (du, dv, newton)
-                }
-            } else {
-                // The tangents are parallel or one of them vanishes: follow the longer one.
-                let (along_u, first) =
-                    if guu >= gvv { (true, single(gu, huu, guu)) } else { (false, single(gv, hvv, gvv)) };
-                if along_u { (clamp_u(first.0), 0.0, false) } else { (0.0, clamp_v(first.0), false) }
+impl<'a> Iterate<'a> {
+    pub fn new(x: &'a Vector3, size: f64, (u, v): (f64, f64), jet: SurfaceJet) -> Self {
+        let r = jet.position - x;
+        let squared = r.norm_squared();
+        Self { x, size, u, v, jet, r, squared, trust: squared.sqrt(), share: 1.0 }
+    }
+
+    /// Parameters at a bound that the gradient pushes against.
+    #[inline]
+    pub fn held(&self, [ru, rv]: Rectangle) -> [bool; 2] {
+        let at = |t: f64, (low, high): (f64, f64), d: &Vector3| {
+            (t <= low && d.dot(&self.r) >= 0.0) || (t >= high && d.dot(&self.r) <= 0.0)
+        };
+        [at(self.u, ru, &self.jet.d_u), at(self.v, rv, &self.jet.d_v)]
+    }
+
+    /// Takes one step; `jet` evaluates the surface.
+    #[inline]
+    pub fn advance(&mut self, rectangle: Rectangle, jet: impl Fn(f64, f64) -> SurfaceJet) -> Progress {
+        loop {
+            let s = self.step(rectangle);
+            let settled = s.length <= NO_STEP * self.size;
+            if settled || (!s.newton && s.decrease <= 4.0 * f64::EPSILON * self.squared) {
+                return Progress::Converged;
+            }
+            let [ru, rv] = rectangle;
+            let (u, v) = ((self.u + s.du).clamp(ru.0, ru.1), (self.v + s.dv).clamp(rv.0, rv.1));
+            if s.newton && s.length <= LAST_STEP * self.size {
+                (self.u, self.v) = (u, v);
+                return Progress::Converged;
+            }
+            let next = jet(u, v);
+            let r = next.position - self.x;
+            let squared = r.norm_squared();
+            let decrease = self.squared - squared;
+            // A short Newton step is right even if its decrease is lost in rounding.
+            let rounding = s.newton && s.length <= 1e-6 * self.size && -decrease <= 1e-14 * self.squared;
+            let accepted = decrease > 1e-3 * s.decrease || rounding;
+            if !s.newton && decrease > 0.75 * s.decrease {
+                self.trust *= 2.0;
+                self.share *= 2.0;
+            } else if !(rounding || decrease >= 0.25 * s.decrease) {
+                self.trust = 0.25 * s.length.min(self.trust);
+                let share = (s.du.abs() / (ru.1 - ru.0)).max(s.dv.abs() / (rv.1 - rv.0));
+                self.share = 0.25 * share.min(self.share);
+            }
+            if accepted {
+                (self.u, self.v, self.jet, self.r, self.squared) = (u, v, next, r, squared);
+                return Progress::Moved;
             }
         }
-    };
-    let mut length = (jet.d_u * du + jet.d_v * dv).norm();
-    let limit = 2.0 * r.norm();
-    if length > limit {
-        let scale = limit / length;
-        (du, dv, length) = (du * scale, dv * scale, limit);
     }
-    Step { du, dv, held: [held_u, held_v], newton, length }
-}
 
-/// The minimum of the convex model `g . d + d . H d / 2` on the boundary of a rectangle of steps: on each side in turn.
-fn on_boundary([gu, gv]: [f64; 2], [a, b, c]: [f64; 3], [ru, rv]: Rectangle) -> (f64, f64) {
-    let mut best = (f64::INFINITY, (0.0, 0.0));
-    let mut offer = |du: f64, dv: f64| {
-        let model = gu * du + gv * dv + 0.5 * (a * du * du + c * dv * dv) + b * du * dv;
-        if model < best.0 {
-            best = (model, (du, dv));
+    /// The minimum of the model over the steps within the rectangle and the trust region.
+    #[inline]
+    fn step(&self, [ru, rv]: Rectangle) -> Step {
+        let (jet, r) = (&self.jet, &self.r);
+        let (gu, gv) = (jet.d_u.dot(r), jet.d_v.dot(r));
+        let (guu, guv, gvv) = (jet.d_u.norm_squared(), jet.d_u.dot(&jet.d_v), jet.d_v.norm_squared());
+        let (huu, huv, hvv) = (guu + jet.d_uu.dot(r), guv + jet.d_uv.dot(r), gvv + jet.d_vv.dot(r));
+        let length = |du: f64, dv: f64| (du * du * guu + 2.0 * du * dv * guv + dv * dv * gvv).max(0.0).sqrt();
+
+        let (share_u, share_v) = (self.share * (ru.1 - ru.0), self.share * (rv.1 - rv.0));
+
+        let det = huu * hvv - huv * huv;
+        if huu > 0.0 && det > 1e-14 * huu * hvv {
+            let du = (huv * gv - hvv * gu) / det;
+            let dv = (huv * gu - huu * gv) / det;
+            let inside = |t: f64, (low, high): (f64, f64)| t >= low && t <= high;
+            let short = (du * du * guu).max(dv * dv * gvv) <= self.trust * self.trust;
+            let narrow = du.abs() <= share_u && dv.abs() <= share_v;
+            if short && narrow && inside(self.u + du, ru) && inside(self.v + dv, rv) {
+                let decrease = -(gu * du + gv * dv);
+                return Step { du, dv, newton: true, length: length(du, dv), decrease };
+            }
         }
-    };
-    for du in [ru.0, ru.1] {
-        offer(du, (-(gv + b * du) / c).clamp(rv.0, rv.1));
+
+        // On the boundary: each side in turn, along which the model is a parabola.
+        let trust_u = (self.trust / guu.sqrt()).min(share_u);
+        let trust_v = (self.trust / gvv.sqrt()).min(share_v);
+        let low = [(ru.0 - self.u).max(-trust_u), (rv.0 - self.v).max(-trust_v)];
+        let high = [(ru.1 - self.u).min(trust_u), (rv.1 - self.v).min(trust_v)];
+        let mut best = (0.0, 0.0, 0.0);
+        let mut offer = |du: f64, dv: f64| {
+            let model = gu * du + gv * dv + 0.5 * (huu * du * du + hvv * dv * dv) + huv * du * dv;
+            if model < best.0 {
+                best = (model, du, dv);
+            }
+        };
+        for du in [low[0], high[0]] {
+            if hvv > 0.0 {
+                offer(du, (-(gv + huv * du) / hvv).clamp(low[1], high[1]));
+            } else {
+                offer(du, low[1]);
+                offer(du, high[1]);
+            }
+        }
+        for dv in [low[1], high[1]] {
+            if huu > 0.0 {
+                offer((-(gu + huv * dv) / huu).clamp(low[0], high[0]), dv);
+            } else {
+                offer(low[0], dv);
+                offer(high[0], dv);
+            }
+        }
+        let (model, du, dv) = best;
+        let newton = (du == 0.0 || du.abs() < trust_u) && (dv == 0.0 || dv.abs() < trust_v);
+        Step { du, dv, newton, length: length(du, dv), decrease: -2.0 * model }
     }
-    for dv in [rv.0, rv.1] {
-        offer((-(gu + b * dv) / a).clamp(ru.0, ru.1), dv);
-    }
-    best.1
 }
 
-/// Whether a step is acceptable: it decreases the squared distance, or it is a Newton step so short that the decrease is
-/// lost in rounding.
-#[inline]
-pub(crate) fn is_progress(step: &Step, squared: f64, before: f64, size: f64) -> bool {
-    squared < before || (step.newton && step.length <= 1e-6 * size && squared <= before * (1.0 + 1e-14))
-}
-
-/// Descends from `(u, v)` to the parameters of a minimum within a rectangle. If `f` is known to be convex there, it gives up (`None`) as
-/// soon as the tangent plane of `f` shows that nothing in the rectangle is closer than the square root of `bound`.
+/// Descends from `(u, v)` to the parameters of a minimum within a rectangle. If `f` is known to be convex there, it gives
+/// up (`None`) as soon as the tangent plane of `f` shows that nothing in the rectangle is closer than the square root of
+/// `convex_bound`.
 pub(crate) fn in_rectangle(
     surface: &Surface,
     control_points: &[[f64; 4]],
     x: &Vector3,
     rectangle: Rectangle,
-    (mut u, mut v): (f64, f64),
+    (u, v): (f64, f64),
     size: f64,
     convex_bound: Option<f64>,
 ) -> Option<(f64, f64)> {
     let [ru, rv] = rectangle;
-    let mut jet = surface.jet(control_points, u, v);
-    let mut r = jet.position - x;
-    let mut squared = r.norm_squared();
-    for _ in 0..60 {
+    let jet = |u, v| surface.jet(control_points, u, v);
+    let mut i = Iterate::new(x, size, (u, v), jet(u, v));
+    for _ in 0..100 {
         if let Some(bound) = convex_bound {
-            let (gu, gv) = (jet.d_u.dot(&r), jet.d_v.dot(&r));
-            let fall_u = (gu * (u - ru.0)).max(gu * (u - ru.1)).max(0.0);
-            let fall_v = (gv * (v - rv.0)).max(gv * (v - rv.1)).max(0.0);
-            if squared - 2.0 * (fall_u + fall_v) >= bound {
+            let (gu, gv) = (i.jet.d_u.dot(&i.r), i.jet.d_v.dot(&i.r));
+            let fall_u = (gu * (i.u - ru.0)).max(gu * (i.u - ru.1)).max(0.0);
+            let fall_v = (gv * (i.v - rv.0)).max(gv * (i.v - rv.1)).max(0.0);
+            if i.squared - 2.0 * (fall_u + fall_v) >= bound {
                 return None;
             }
         }
-        let s = step(&jet, &r, u, v, rectangle);
-        if s.length <= NO_STEP * size {
-            break;
-        }
-        let last = s.newton && s.length <= LAST_STEP * size;
-        let mut scale = 1.0;
-        let accepted = loop {
-            let (nu, nv) = ((u + scale * s.du).clamp(ru.0, ru.1), (v + scale * s.dv).clamp(rv.0, rv.1));
-            let trial = surface.jet(control_points, nu, nv);
-            let trial_r = trial.position - x;
-            let trial_squared = trial_r.norm_squared();
-            if last || is_progress(&s, trial_squared, squared, size) {
-                (u, v, jet, r, squared) = (nu, nv, trial, trial_r, trial_squared);
-                break true;
-            }
-            scale *= 0.5;
-            if scale < 1e-6 {
-                break false;
-            }
-        };
-        if last || !accepted {
+        if i.advance(rectangle, jet) == Progress::Converged {
             break;
         }
     }
-    Some((u, v))
+    Some((i.u, i.v))
 }
 
 /// The foot point along a side of a patch within a range of its parameter: parameter and distance.
