@@ -1,9 +1,7 @@
 //! A small set-up to spoil: a box of bilinear patches and a sphere, with an inline mesh.
 #![allow(dead_code)]
-// The error is what the tests are about; its size does not matter here.
-#![allow(clippy::result_large_err, clippy::unwrap_used)]
-// The error is what the tests are about; its size does not matter here.
-#![allow(clippy::result_large_err, clippy::unwrap_used)]
+// Helpers of tests fail by panicking, like the tests themselves.
+#![allow(clippy::unwrap_used)]
 
 use moldline_setup::{Files, Limits, SetupContent, SetupFileError, read_setup};
 use serde_json::{Value, json};
