@@ -95,10 +95,3 @@ impl Inspection {
         QualityReport::new(cells, owners, &self.names)
     }
 }
-
-/// Area vector of a cell (Newell), m^2.
-pub fn area_vector(vertices: &[[f64; 3]], cell: &Cell) -> Vector3 {
-    let at = |v: u32| Vector3::from(vertices[v as usize]);
-    let origin = at(cell.vertices()[0]);
-    0.5 * cell.edges().map(|[a, b]| (at(a) - origin).cross(&(at(b) - origin))).sum::<Vector3>()
-}

@@ -1,14 +1,13 @@
 //! Which component each vertex and cell lies on, where, and what the vertex may do there. Found by projection alone.
 
 use moldline_geometry::{Body, Feature, Location};
-use moldline_mesh::{Cell, Topology};
+use moldline_mesh::{Cell, Topology, area_vector};
 use moldline_spline::Vector3;
 use rayon::prelude::*;
 
 use crate::{
     Monitor, SetupError, Stage,
     error::{LISTED, VertexDistance},
-    inspection::area_vector,
 };
 
 /// Parameters this near the side of a patch (relative to its range) are on it.

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use moldline_geometry::{Aabb, Body, Component, Location, SmoothUnion};
 use moldline_mesh::{
-    MeshError, Plane, SurfaceMesh, Topology, symmetry::pair_vertices, topology::enclosed_volume,
+    MeshError, Plane, SurfaceMesh, Topology, area_vector, symmetry::pair_vertices, topology::enclosed_volume,
 };
 use moldline_parameterisation::Parameterisation;
 use moldline_spline::Vector3;
@@ -14,7 +14,7 @@ use crate::{
     DeformError, Monitor, Options, Propagation, SetupError, Stage,
     chart::Chart,
     field::{Field, Mirror},
-    inspection::{Inspection, area_vector},
+    inspection::Inspection,
     ownership::{Freedom, Ownership},
     report::{ComponentSummary, FieldSummary, ProtectedSummary, SetupReport, Symmetry},
     seam::SeamSolver,
