@@ -100,6 +100,12 @@ impl Chart {
         covered.then_some(Self { maps, periods })
     }
 
+    /// The parameter of a patch (0: u, 1: v) that each of the chart's coordinates moves, and how far for one unit of it;
+    /// `None` where nothing departs.
+    pub fn map(&self, patch: u32) -> Option<([usize; 2], [f64; 2])> {
+        self.maps[patch as usize].map(|map| (map.axis, map.scale))
+    }
+
     /// The location a departure away from `from`: first along one coordinate line, then along the other.
     pub fn walk(&self, body: &Body, from: &Location, departure: [f64; 2]) -> Location {
         let mut at = *from;

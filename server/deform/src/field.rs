@@ -71,6 +71,16 @@ impl Field {
         &self.training
     }
 
+    /// Training vertices, by place among them, whose mirror images are centres too, after all the others.
+    pub fn images(&self) -> &[u32] {
+        &self.images
+    }
+
+    /// What the mirror does to a datum, component by component.
+    pub fn mirror_signs(&self) -> Vector3 {
+        self.mirror_signs
+    }
+
     /// Bytes held by the factorisation.
     pub fn bytes(&self) -> usize {
         self.basis.bytes()

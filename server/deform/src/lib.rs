@@ -33,4 +33,4 @@ pub use pipeline::Deformation;
 pub use rbf::Kernel;
 pub use report::{ComponentSummary, FieldSummary, ProtectedSummary, SetupReport, Symmetry};
 pub use seam_setup::SeamSummary;
-pub use setup::{Setup, SetupInput};
+pub use setup::{RegionField, Setup, SetupInput};

@@ -37,11 +37,12 @@ pub struct SetupInput {
 
 /// A field and the vertices that it moves.
 #[derive(Clone, Debug)]
-pub(crate) struct RegionField {
+pub struct RegionField {
     /// The component moved; `None`: all of them.
     pub component: Option<u32>,
     /// Surface coordinates in which departures are measured; `None`: they are vectors in space.
     pub chart: Option<Chart>,
+    /// The factorised system.
     pub field: Field,
     /// Vertices moved: all of the region that are neither on a seam nor fixed.
     pub vertices: Vec<u32>,
@@ -272,6 +273,46 @@ impl Setup {
     /// [`DeformError::ControlPoints`] if counts do not match or a coordinate is not finite.
     pub fn bodies(&self, control_points: &[Vec<[f64; 3]>]) -> Result<Vec<Body>, DeformError> {
         bodies(&self.components, control_points).map_err(DeformError::ControlPoints)
+    }
+
+    /// The components in the reference state.
+    pub fn reference(&self) -> &[Body] {
+        &self.reference
+    }
+
+    /// Reference vertices, on their components, m.
+    pub fn positions(&self) -> &[Vector3] {
+        &self.positions
+    }
+
+    /// The seam search.
+    pub fn seams(&self) -> &SeamSolver {
+        &self.seams
+    }
+
+    /// The displacement fields.
+    pub fn fields(&self) -> &[RegionField] {
+        &self.fields
+    }
+
+    /// Whether a vertex stays in the symmetry plane.
+    pub fn is_in_plane(&self, vertex: u32) -> bool {
+        self.in_plane[vertex as usize]
+    }
+
+    /// Whether a vertex stays where it is in space.
+    pub fn is_stationary(&self, vertex: u32) -> bool {
+        self.stationary[vertex as usize]
+    }
+
+    /// The reference length, m: the diagonal of the mesh's bounding box.
+    pub fn length(&self) -> f64 {
+        self.length
+    }
+
+    /// The smooth union that makes the outer mold line.
+    pub fn union(&self) -> SmoothUnion {
+        self.union
     }
 }
 

@@ -30,5 +30,5 @@ pub use component::{Component, ComponentError, ComponentOptions, Patch, PatchInp
 pub use distance::{FootChange, SignedDistance, SignedDistanceDerivative, SignedDistancePoint};
 pub use moldline_spline::{SurfaceJet, SurfacePoint, Vector3};
 pub use primitive::{Primitive, PrimitiveError};
-pub use topology::{Edge, EdgeSide, Side, Vertex, VertexKind};
+pub use topology::{Edge, EdgeSide, Incidence, Side, Vertex, VertexKind};
 pub use union::{SmoothUnion, SmoothUnionPoint};

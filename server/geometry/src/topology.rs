@@ -99,6 +99,11 @@ impl Edge {
     pub fn is_boundary(&self) -> bool {
         self.sides.len() == 1 && !self.collapsed
     }
+
+    /// Whether its two sides have the same points at the same fractions of their ranges.
+    pub fn is_affine(&self) -> bool {
+        self.affine
+    }
 }
 
 /// What a vertex is to a foot point.
@@ -117,13 +122,24 @@ pub enum VertexKind {
 
 /// How a patch touches a vertex.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) enum Incidence {
+pub enum Incidence {
     /// With a corner of its parameter rectangle.
-    Corner { location: Location },
+    Corner {
+        /// The corner.
+        location: Location,
+    },
     /// With an inner point of a side.
-    OnSide { location: Location },
+    OnSide {
+        /// The point.
+        location: Location,
+    },
     /// With a whole side that is collapsed.
-    Pole { patch: u32, side: Side },
+    Pole {
+        /// The patch.
+        patch: u32,
+        /// Its side.
+        side: Side,
+    },
 }
 
 /// A point where edges end.
@@ -132,6 +148,13 @@ pub struct Vertex {
     /// What it is to a foot point.
     pub kind: VertexKind,
     pub(crate) incidences: Vec<Incidence>,
+}
+
+impl Vertex {
+    /// How patches touch it.
+    pub fn incidences(&self) -> &[Incidence] {
+        &self.incidences
+    }
 }
 
 /// A side's pieces in increasing order of the parameter.
