@@ -1,8 +1,8 @@
 //! Radial basis functions with an affine term (eq. 16 and 17 of the paper): factorised once, then solved and evaluated.
 //!
 //! The interpolant is `d(x) = sum_j psi(|x - c_j|) w_j + A^T p(x)`, `p = [1, x]`, with `P^T w = 0`. Both kernels are
-//! conditionally positive definite (linear: `psi = -r`, order 1; cubic: `psi = r^3`, order 2; Wendland, Scattered Data
-//! Approximation, sec. 8.1), so with `P = Q [R; 0]` the block `(Q^T Psi Q)_22` is positive definite and Cholesky
+//! conditionally positive definite (linear: `psi = -sqrt(r^2 + c^2)` with a small c, order 1; cubic: `psi = r^3`, order 2;
+//! Wendland, Scattered Data Approximation, sec. 8.1), so with `P = Q [R; 0]` the block `(Q^T Psi Q)_22` is positive definite and Cholesky
 //! applies. The saddle-point matrix is symmetric: the same factor serves the adjoint.
 
 use faer::{
@@ -18,7 +18,8 @@ use rayon::prelude::*;
 /// Radial function.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Kernel {
-    /// `psi(r) = -r`: between data the field keeps to their range, at the price of a cone at each centre.
+    /// `psi(r) = -sqrt(r^2 + c^2)`: between data the field keeps nearly to their range. c is small ([`ROUNDING`]): it rounds
+    /// the cones that `-r` has at the centres, which turn cells over at the end of a seam.
     Linear,
     /// `psi(r) = r^3`: twice continuously differentiable, follows trends beyond the data.
     Cubic,
@@ -45,6 +46,10 @@ pub enum RbfError {
 const LANES: usize = 8;
 /// Points evaluated by one task.
 const TILE: usize = 128;
+/// c of the linear kernel, as a fraction of the extent of the centres ...
+pub const ROUNDING: f64 = 0.002;
+/// ... but not more than this many times the least distance between centres, which keeps the matrix well conditioned.
+const ROUNDING_OVER_SEPARATION: f64 = 4.0;
 /// Dimension of the affine space.
 const AFFINE: usize = 4;
 
@@ -52,6 +57,8 @@ const AFFINE: usize = 4;
 #[derive(Clone, Debug)]
 pub struct RadialBasis {
     kernel: Kernel,
+    /// c^2 of the linear kernel, scaled.
+    rounding: f64,
     /// Moves and scales the centres into the unit box.
     origin: Vector3,
     scale: f64,
@@ -96,10 +103,19 @@ impl RadialBasis {
         let (reflectors, triangle) = orthogonalise(&scaled).ok_or_else(planar)?;
 
         let mut matrix = Mat::<f64>::zeros(count, count);
+        let mut least = f64::INFINITY;
+        for j in 0..count {
+            for i in j + 1..count {
+                let squared = (scaled[i] - scaled[j]).norm_squared();
+                least = least.min(squared);
+                matrix[(i, j)] = squared;
+            }
+        }
+        let rounding = (ROUNDING * ROUNDING).min(ROUNDING_OVER_SEPARATION * ROUNDING_OVER_SEPARATION * least);
         let mut total = 0.0;
         for j in 0..count {
             for i in j + 1..count {
-                let value = psi(kernel, (scaled[i] - scaled[j]).norm());
+                let value = psi(kernel, rounding, matrix[(i, j)]);
                 total += value.abs();
                 matrix[(i, j)] = value;
                 matrix[(j, i)] = value;
@@ -107,7 +123,7 @@ impl RadialBasis {
         }
         let mean = total / (0.5 * (count * (count - 1)) as f64);
         for i in 0..count {
-            matrix[(i, i)] = regularisation * mean;
+            matrix[(i, i)] = psi(kernel, rounding, 0.0) + regularisation * mean;
         }
         reflect_both_sides(&mut matrix, &reflectors);
         let top = matrix.get(..AFFINE, ..).to_owned();
@@ -133,7 +149,7 @@ impl RadialBasis {
             values.resize(padded, 0.0);
             values
         });
-        Ok(Self { kernel, origin, scale, centres, count, reflectors, triangle, top, factor })
+        Ok(Self { kernel, rounding, origin, scale, centres, count, reflectors, triangle, top, factor })
     }
 
     /// Number of centres.
@@ -213,11 +229,12 @@ impl RadialBasis {
                 #[inline(always)]
                 || {
                     for (point, out) in points.iter().zip(out) {
+                        // Matched here, so that the loop inside has no branch.
                         *out = match self.kernel {
-                            Kernel::Linear => self.value(coefficients, point, |squared| -squared.sqrt()),
-                            Kernel::Cubic => {
-                                self.value(coefficients, point, |squared| squared * squared.sqrt())
+                            Kernel::Linear => {
+                                self.value(coefficients, point, |s| psi(Kernel::Linear, self.rounding, s))
                             }
+                            Kernel::Cubic => self.value(coefficients, point, |s| psi(Kernel::Cubic, 0.0, s)),
                         };
                     }
                 },
@@ -249,10 +266,12 @@ impl RadialBasis {
     }
 }
 
-fn psi(kernel: Kernel, r: f64) -> f64 {
+/// The kernel by r^2, with `rounding` = c^2.
+#[inline(always)]
+fn psi(kernel: Kernel, rounding: f64, squared: f64) -> f64 {
     match kernel {
-        Kernel::Linear => -r,
-        Kernel::Cubic => r * r * r,
+        Kernel::Linear => -(squared + rounding).sqrt(),
+        Kernel::Cubic => squared * squared.sqrt(),
     }
 }
 
@@ -383,6 +402,38 @@ mod tests {
         }
     }
 
+    /// SciPy 1.17: `RBFInterpolator(c, d, kernel="multiquadric", epsilon=1/0.02, degree=1)`, 0.02 being c for these centres.
+    #[test]
+    fn linear_is_rounded_as_a_multiquadric_is() {
+        let centres = [
+            [0.0, 0.0, 0.0],
+            [10.0, 0.0, 0.0],
+            [0.0, 4.0, 0.0],
+            [0.0, 0.0, 3.0],
+            [10.0, 4.0, 3.0],
+            [5.0, 2.0, 1.0],
+            [5.0, 2.05, 1.0],
+            [2.0, 3.0, 2.5],
+            [7.0, 1.0, 0.5],
+        ]
+        .map(Vector3::from);
+        let data: Vec<Vector3> = (0..9)
+            .map(|i| Vector3::new(f64::from(i).sin(), f64::from(2 * i).cos(), f64::from(i * i % 5)))
+            .collect();
+        let points = [[5.0, 2.01, 1.005], [3.0, 1.0, 2.0], [12.0, -1.0, 0.5]].map(Vector3::from);
+        let expected = [
+            [-0.8437161631113225, -0.545992727626138, 0.1714953055246908],
+            [-0.1828866161836063, 0.0020732151699347, 1.9551067453418252],
+            [0.40993477891222, -0.4014301668440798, -0.0932814998178346],
+        ];
+        let basis = RadialBasis::new(Kernel::Linear, &centres, 0.0).unwrap();
+        let mut out = [Vector3::zeros(); 3];
+        basis.evaluate(&basis.fit(&data), &points, &mut out);
+        for (value, expected) in out.iter().zip(expected) {
+            assert!((value - Vector3::from(expected)).norm() < 1e-11, "{value} {expected:?}");
+        }
+    }
+
     #[test]
     fn solves_the_saddle_point_system() {
         let centres = scattered(37, 4);
@@ -396,7 +447,7 @@ mod tests {
             let w = &solution.weights[axis];
             for i in 0..37 {
                 let radial: f64 =
-                    (0..37).map(|j| psi(Kernel::Cubic, (scaled[i] - scaled[j]).norm()) * w[j]).sum();
+                    (0..37).map(|j| psi(Kernel::Cubic, 0.0, (scaled[i] - scaled[j]).norm_squared()) * w[j]).sum();
                 let p = [1.0, scaled[i].x, scaled[i].y, scaled[i].z];
                 let affine: f64 = (0..AFFINE).map(|k| p[k] * solution.affine[k][axis]).sum();
                 assert!((radial + affine - data[(i, axis)]).abs() < rounding(&solution));
@@ -431,7 +482,9 @@ mod tests {
         );
         let mut twice = scattered(20, 7);
         twice.push(twice[3]);
-        assert!(matches!(RadialBasis::new(Kernel::Cubic, &twice, 0.0), Err(RbfError::Coincident { .. })));
+        for kernel in [Kernel::Linear, Kernel::Cubic] {
+            assert!(matches!(RadialBasis::new(kernel, &twice, 0.0), Err(RbfError::Coincident { .. })));
+        }
     }
 
     #[test]
