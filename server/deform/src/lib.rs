@@ -12,6 +12,7 @@
 pub mod chart;
 mod error;
 pub mod field;
+mod held;
 pub mod inspection;
 mod monitor;
 mod options;
@@ -26,6 +27,7 @@ mod setup;
 pub mod training;
 
 pub use error::{DeformError, SetupError, VertexDistance};
+pub use held::Hold;
 pub use moldline_geometry::Location;
 pub use monitor::{Monitor, Silent, Stage};
 pub use options::{Options, OuterMoldLine, Propagation, SeamOptions, SmoothingOptions};

@@ -3,7 +3,7 @@
 //! design -> control points -> seam points -> training data -> field -> vertices on their components -> outer mold line.
 
 use moldline_geometry::{Body, Feature, FootPoint, Location};
-use moldline_mesh::{CellQuality, Laplacian, QualityReport};
+use moldline_mesh::{CellQuality, QualityReport, quality};
 use moldline_spline::Vector3;
 use rayon::prelude::*;
 
@@ -30,6 +30,8 @@ pub struct Deformation {
     pub cell_quality: Vec<CellQuality>,
     /// Largest distance of a seam vertex from one of its components before the smooth projection, m.
     pub seam_residual: f64,
+    /// Largest distance of a protected or stationary vertex from a component that it lies on, m.
+    pub held_residual: f64,
     /// Largest `|Phi|` of an active vertex at the end, m; zero for `Sharp`.
     pub projection_residual: f64,
     /// Most projection steps that a vertex took.
@@ -80,19 +82,21 @@ impl Setup {
         let (positions, residual, steps) = self.onto_outer_mold_line(placed, &seams, &bodies, monitor)?;
         go_on(Stage::Quality)?;
         let vertices: Vec<[f64; 3]> = positions.into_iter().map(Into::into).collect();
+        let held_residual = self.held_residual(&vertices, &bodies)?;
         let owners = &self.ownership.cell_owner;
         let normals = self.inspection.normals(&self.mesh.cells, owners, &vertices, &locations, &bodies);
-        let cell_quality = self.inspection.cells(&vertices, &self.mesh.cells, &normals);
+        let cell_quality = quality::evaluate(&vertices, &self.mesh.cells, &normals);
         // A set-up has cells, so that there is a report.
-        let quality =
+        let summary =
             self.inspection.report(&cell_quality, owners).unwrap_or_else(|| self.report().quality.clone());
         monitor.progress(Stage::Quality, 1.0);
         Ok(Deformation {
             vertices,
             locations,
-            quality,
+            quality: summary,
             cell_quality,
             seam_residual: seams.iter().map(|p| p.residual).fold(0.0, f64::max),
+            held_residual,
             projection_residual: residual,
             projection_steps: steps,
         })
@@ -229,10 +233,7 @@ impl Setup {
     /// Rounds of Laplacian smoothing, each followed by a projection onto the components.
     fn smooth(&self, vertices: &mut [Placed], bodies: &[Body]) -> Result<(), DeformError> {
         let options = &self.options.smoothing;
-        if options.rounds == 0 {
-            return Ok(());
-        }
-        let laplacian = Laplacian::uniform(&self.topology, |v| !self.may_smooth(v));
+        let Some(laplacian) = &self.laplacian else { return Ok(()) };
         let mut smoothed = vec![[0.0; 3]; vertices.len()];
         for _ in 0..options.rounds {
             let current: Vec<[f64; 3]> = vertices.iter().map(|p| p.position.into()).collect();
@@ -258,8 +259,7 @@ impl Setup {
     }
 
     fn may_smooth(&self, v: u32) -> bool {
-        !self.stationary[v as usize]
-            && matches!(self.ownership.of(v), [only] if only.freedom == Freedom::Surface)
+        !self.stationary[v as usize] && self.ownership.is_free(v)
     }
 
     /// Step F for the smooth outer mold line: vertices that nothing protects onto the zero set of `Phi`. The second and
