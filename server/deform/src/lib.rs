@@ -12,6 +12,7 @@
 pub mod chart;
 mod error;
 pub mod field;
+mod held;
 pub mod inspection;
 mod linearisation;
 mod monitor;
@@ -28,6 +29,7 @@ mod setup;
 pub mod training;
 
 pub use error::{DeformError, SetupError, VertexDistance};
+pub use held::Hold;
 pub use linearisation::{Gradient, Linearisation, Stages, Tangent};
 pub use moldline_geometry::Location;
 pub use monitor::{Monitor, Silent, Stage};

@@ -756,10 +756,7 @@ impl Linearisation {
     // Smoothing.
 
     fn smooth_jvp(&self, mut vertices: Block, control_points: &[Block]) -> Block {
-        if self.rounds.is_empty() {
-            return vertices;
-        }
-        let laplacian = self.setup.laplacian();
+        let Some(laplacian) = &self.setup.laplacian else { return vertices };
         let relaxation = self.setup.options.smoothing.relaxation;
         for round in &self.rounds {
             let aims = by_direction(&vertices, |x, out| laplacian.smooth(relaxation, x, out));
@@ -776,10 +773,7 @@ impl Linearisation {
     }
 
     fn smooth_vjp(&self, mut vertices: Block, control_points: &mut [Block]) -> Block {
-        if self.rounds.is_empty() {
-            return vertices;
-        }
-        let laplacian = self.setup.laplacian();
+        let Some(laplacian) = &self.setup.laplacian else { return vertices };
         let relaxation = self.setup.options.smoothing.relaxation;
         for round in self.rounds.iter().rev() {
             let aims = self.gather(self.placements.len(), control_points, |range, control_points| {

@@ -166,16 +166,33 @@ fn row_lines(
                 (0..choices.len()).fold(0, |best, k| if scores[k] > scores[best] { k } else { best });
             let k = if scores[best_of_row] > SHALLOW { best_of_row } else { own_best };
             let name = |c: u32| bodies[c as usize].component().name().to_owned();
-            let tangent = || SetupError::TangentSeam {
-                vertex,
-                reference: name(a),
-                target: name(b),
-                transversality: scores[k].max(0.0),
-            };
-            if scores[k] <= TANGENT {
-                return Err(tangent());
+            if let Some(holder) = ownership.of(vertex).iter().find(|o| o.freedom == Freedom::Fixed) {
+                let holder = name(holder.component);
+                return Err(SetupError::HeldSeam { vertex, reference: name(a), target: name(b), holder });
             }
-            let line = line(vertex, choices[k], ownership, bodies).ok_or_else(tangent)?;
+            if scores[k] <= TANGENT {
+                return Err(SetupError::TangentSeam {
+                    vertex,
+                    reference: name(a),
+                    target: name(b),
+                    transversality: scores[k].max(0.0),
+                });
+            }
+            let reference = choices[k].component;
+            let target = if reference == a { b } else { a };
+            let line = line(vertex, choices[k], target, ownership, bodies).map_err(|fault| match fault {
+                LineFault::End => {
+                    SetupError::SeamAtEnd { vertex, reference: name(reference), target: name(target) }
+                }
+                LineFault::Sides { near, inside } => SetupError::SeamSides {
+                    vertex,
+                    reference: name(reference),
+                    target: name(target),
+                    transversality: scores[k],
+                    near,
+                    inside,
+                },
+            })?;
             Ok((line, scores[k]))
         })
         .collect()
@@ -235,18 +252,35 @@ fn parameter_direction(choice: Choice, own: &Attachment, other: &Attachment, bod
     }
 }
 
+/// Why a line cannot be searched though it crosses its target at an angle.
+enum LineFault {
+    /// It ends at the vertex.
+    End,
+    /// Both sides of the vertex, so many metres away, are inside the target, or both outside.
+    Sides { near: f64, inside: bool },
+}
+
 /// The line of a vertex with its bracket: from half way to the next root below to half way to the next root above, or
 /// to the end of the component.
-fn line(vertex: u32, choice: Choice, ownership: &Ownership, bodies: &[Body]) -> Option<SeamLine> {
-    let own = ownership.on(vertex, choice.component)?;
+fn line(
+    vertex: u32,
+    choice: Choice,
+    target: u32,
+    ownership: &Ownership,
+    bodies: &[Body],
+) -> Result<SeamLine, LineFault> {
+    // A row's vertices lie on both of its components.
+    let (Some(own), Some(other)) = (ownership.on(vertex, choice.component), ownership.on(vertex, target))
+    else {
+        return Err(LineFault::End);
+    };
     let start = own.location;
     let body = &bodies[choice.component as usize];
-    let other = ownership.of(vertex).iter().find(|o| o.component != choice.component)?;
     let direction = parameter_direction(choice, own, other, bodies);
     let step = 1.0 / SAMPLES;
     let at = |lambda: f64| along(body, &start, direction, lambda);
-    let target = &bodies[other.component as usize];
-    let inside = |lambda: f64| target.signed_distance(&body.position(&at(lambda))) < 0.0;
+    let body_to_meet = &bodies[target as usize];
+    let inside = |lambda: f64| body_to_meet.signed_distance(&body.position(&at(lambda))) < 0.0;
 
     // Lengths to the end of the component, to the bracket's end, and the side of the target that lies there.
     let scan = |sign: f64| {
@@ -269,7 +303,14 @@ fn line(vertex: u32, choice: Choice, ownership: &Ownership, bodies: &[Body]) -> 
     };
     let (below, length_below, bracket_below) = scan(-1.0);
     let (above, length_above, bracket_above) = scan(1.0);
-    (below != above && length_below > 0.0 && length_above > 0.0).then(|| SeamLine {
+    if !(length_below > 0.0 && length_above > 0.0) {
+        return Err(LineFault::End);
+    }
+    if below == above {
+        let near = (body.position(&at(0.01 * step)) - body.position(&start)).norm();
+        return Err(LineFault::Sides { near, inside: below });
+    }
+    Ok(SeamLine {
         reference: choice.component,
         start,
         direction,

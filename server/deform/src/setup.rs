@@ -4,7 +4,8 @@ use std::sync::Arc;
 
 use moldline_geometry::{Aabb, Body, Component, Location, SmoothUnion};
 use moldline_mesh::{
-    MeshError, Plane, SurfaceMesh, Topology, area_vector, symmetry::pair_vertices, topology::enclosed_volume,
+    Laplacian, MeshError, Plane, SurfaceMesh, Topology, area_vector, quality, symmetry::pair_vertices,
+    topology::enclosed_volume,
 };
 use moldline_parameterisation::Parameterisation;
 use moldline_spline::Vector3;
@@ -73,7 +74,6 @@ impl RegionField {
 pub struct Setup {
     pub(crate) options: Options,
     pub(crate) mesh: SurfaceMesh,
-    pub(crate) topology: Topology,
     pub(crate) components: Vec<Arc<Component>>,
     /// The components in the reference state.
     pub(crate) reference: Vec<Body>,
@@ -87,6 +87,8 @@ pub struct Setup {
     pub(crate) in_plane: Vec<bool>,
     /// Vertices that stay where they are in space.
     pub(crate) stationary: Vec<bool>,
+    /// Of the vertices that smoothing moves; `None` without smoothing.
+    pub(crate) laplacian: Option<Laplacian>,
     pub(crate) inspection: Inspection,
     pub(crate) length: f64,
     pub(crate) union: SmoothUnion,
@@ -171,8 +173,8 @@ impl Setup {
             (0..mesh.vertices.len() as u32).map(|v| ownership.of(v)[0].location).collect();
         let owners = &ownership.cell_owner;
         let normals = inspection.normals(&mesh.cells, owners, &mesh.vertices, &locations, &reference);
-        let cells = inspection.cells(&mesh.vertices, &mesh.cells, &normals);
-        let quality = inspection.report(&cells, owners).ok_or(MeshError::Empty { what: "cells" })?;
+        let cells = quality::evaluate(&mesh.vertices, &mesh.cells, &normals);
+        let summary = inspection.report(&cells, owners).ok_or(MeshError::Empty { what: "cells" })?;
         let (against_normal, least_normal_agreement) =
             mesh.cells.iter().zip(&normals).fold((0, 1.0_f64), |(against, least), (cell, normal)| {
                 let area = area_vector(&mesh.vertices, cell);
@@ -209,13 +211,14 @@ impl Setup {
             fields: fields.iter().map(|f| f.summary(&names)).collect(),
             rho: union.rho,
             options: options.clone(),
-            quality,
+            quality: summary,
         };
         monitor.progress(Stage::Report, 1.0);
+        let laplacian = (options.smoothing.rounds > 0)
+            .then(|| Laplacian::uniform(&topology, |v| stationary[v as usize] || !ownership.is_free(v)));
         Ok(Self {
             options,
             mesh,
-            topology,
             components,
             reference,
             positions,
@@ -225,6 +228,7 @@ impl Setup {
             fields,
             in_plane,
             stationary,
+            laplacian,
             inspection,
             length,
             union,

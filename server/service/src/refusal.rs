@@ -116,6 +116,7 @@ impl From<DeformError> for ServiceError {
             DeformError::ControlPoints(_) => Self::invalid("control_points", text),
             DeformError::SeamLost { .. }
             | DeformError::NotProjected { .. }
+            | DeformError::Held { .. }
             | DeformError::FootPoint { .. } => Self::new(Code::FailedPrecondition, "").at("design", text),
         }
     }

@@ -110,7 +110,9 @@ fn variants() -> Vec<(&'static str, fn(&mut Options))> {
         ("sharp", |_| {}),
         ("smooth", |o| o.outer_mold_line = OuterMoldLine::Smooth),
         ("smoothing", |o| {
+            // Gentle, or vertices of a leading edge are drawn to where the sheets are equally near.
             o.smoothing.rounds = 2;
+            o.smoothing.relaxation = 0.1;
             o.outer_mold_line = OuterMoldLine::Smooth;
         }),
         ("departure", |o| o.propagation = Propagation::Departure),
