@@ -206,6 +206,14 @@ pub enum SetupError {
         /// What is wrong.
         reason: String,
     },
+    /// An output is declared wrongly.
+    #[error("output `{name}`: {reason}")]
+    Output {
+        /// Its name.
+        name: String,
+        /// What is wrong.
+        reason: String,
+    },
     /// The caller lost interest.
     #[error("cancelled")]
     Cancelled,
@@ -280,13 +288,15 @@ pub enum DeformError {
         worst: Vec<VertexDistance>,
     },
     /// A seed of the adjoint does not fit the set-up.
-    #[error("seeds[{index}] has {found} vertices, the mesh has {expected}")]
+    #[error("seeds[{index}] has {found} {what}, the set-up has {expected}")]
     SeedSize {
         /// Which seed.
         index: usize,
-        /// Its number of vertices.
+        /// Vertices or functions.
+        what: &'static str,
+        /// How many it has.
         found: usize,
-        /// That of the mesh.
+        /// How many the set-up has.
         expected: usize,
     },
     /// Derivatives by design variables were asked for where there is no design.

@@ -12,6 +12,7 @@ use crate::{
     DeformError, Monitor, OuterMoldLine, Propagation, Setup, Stage,
     chart::Chart,
     error::{LISTED, VertexDistance},
+    outputs::Measured,
     ownership::{Attachment, Freedom},
     projection::{Projected, SmoothProjection, Step},
     seam::SeamPoint,
@@ -23,6 +24,8 @@ use crate::{
 pub struct Deformation {
     /// All vertices, m, in the order of the set-up's mesh.
     pub vertices: Vec<[f64; 3]>,
+    /// Values of the scalar outputs, in the order of [`Setup::functions`].
+    pub functions: Vec<f64>,
     /// Parameters of each vertex on its first owner (for `Smooth`: before the projection onto the fillet).
     pub locations: Vec<Location>,
     /// Quality of the mesh against the deformed components.
@@ -124,8 +127,11 @@ impl Setup {
         let summary =
             self.inspection.report(&cell_quality, owners).unwrap_or_else(|| self.report().quality.clone());
         monitor.progress(Stage::Quality, 1.0);
+        let measured = Measured { cells: &self.mesh.cells, owners, vertices: &vertices, bodies: &bodies };
+        let functions = self.outputs.eval(measured);
         let deformation = Deformation {
             vertices,
+            functions,
             locations,
             quality: summary,
             cell_quality,

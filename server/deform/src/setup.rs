@@ -16,6 +16,7 @@ use crate::{
     chart::Chart,
     field::{Field, Mirror},
     inspection::Inspection,
+    outputs::{Function, OutputDeclaration, Outputs},
     ownership::{Freedom, Ownership},
     report::{ComponentSummary, FieldSummary, ProtectedSummary, SetupReport, Symmetry},
     seam::SeamSolver,
@@ -32,6 +33,8 @@ pub struct SetupInput {
     pub mesh: SurfaceMesh,
     /// Design variables to control points.
     pub parameterisation: Parameterisation,
+    /// Scalar outputs besides those that every set-up has.
+    pub outputs: Vec<OutputDeclaration>,
     /// Choices.
     pub options: Options,
 }
@@ -92,6 +95,7 @@ pub struct Setup {
     pub(crate) inspection: Inspection,
     pub(crate) length: f64,
     pub(crate) union: SmoothUnion,
+    pub(crate) outputs: Outputs,
     report: SetupReport,
 }
 
@@ -101,7 +105,7 @@ impl Setup {
     /// # Errors
     /// [`SetupError`] if the mesh does not fit the components, an option is out of range, and so on.
     pub fn build(input: SetupInput, monitor: &dyn Monitor) -> Result<Self, SetupError> {
-        let SetupInput { components, mesh, parameterisation, options } = input;
+        let SetupInput { components, mesh, parameterisation, outputs, options } = input;
         options.validate()?;
         let names: Vec<String> = components.iter().map(|c| c.name().to_owned()).collect();
         check_names(&names, &options, &mesh)?;
@@ -167,6 +171,8 @@ impl Setup {
         .build(monitor)?;
 
         monitor.progress(Stage::Report, 0.0);
+        let origin = if half_plane.is_some() { Vector3::zeros() } else { positions[0] };
+        let outputs = Outputs::new(&outputs, &components, origin)?;
         let inspection = Inspection::new(&mesh, &ownership, &reference);
         let union = SmoothUnion::from_fillet(options.fillet.unwrap_or(5e-4 * length));
         let locations: Vec<Location> =
@@ -232,6 +238,7 @@ impl Setup {
             inspection,
             length,
             union,
+            outputs,
             report,
         })
     }
@@ -269,6 +276,11 @@ impl Setup {
     /// Vertices on several components.
     pub fn seam_vertices(&self) -> impl ExactSizeIterator<Item = u32> + '_ {
         self.seams.vertices.iter().map(|s| s.vertex)
+    }
+
+    /// The scalar outputs, in the order of their values.
+    pub fn functions(&self) -> &[Function] {
+        self.outputs.functions()
     }
 
     /// Where every vertex lies.
