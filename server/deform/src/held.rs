@@ -33,11 +33,7 @@ impl Setup {
     ///
     /// # Errors
     /// [`DeformError::Held`] where it is more than the tolerance with which the mesh was attached to its components.
-    pub(crate) fn held_residual(
-        &self,
-        vertices: &[[f64; 3]],
-        bodies: &[Body],
-    ) -> Result<f64, DeformError> {
+    pub(crate) fn held_residual(&self, vertices: &[[f64; 3]], bodies: &[Body]) -> Result<f64, DeformError> {
         let tolerance = self.options.surface_tolerance * self.length;
         let distances: Vec<(u32, Hold, f64)> = (0..vertices.len() as u32)
             .into_par_iter()

@@ -50,6 +50,8 @@ const TILE: usize = 128;
 pub const ROUNDING: f64 = 0.002;
 /// ... but not more than this many times the least distance between centres, which keeps the matrix well conditioned.
 const ROUNDING_OVER_SEPARATION: f64 = 4.0;
+/// Distance, as a fraction of the extent, at which two centres are one.
+const COINCIDENT: f64 = 1e-12;
 /// Dimension of the affine space.
 const AFFINE: usize = 4;
 
@@ -107,6 +109,9 @@ impl RadialBasis {
         for j in 0..count {
             for i in j + 1..count {
                 let squared = (scaled[i] - scaled[j]).norm_squared();
+                if squared <= COINCIDENT * COINCIDENT {
+                    return Err(RbfError::Coincident { centre: i });
+                }
                 least = least.min(squared);
                 matrix[(i, j)] = squared;
             }
@@ -446,8 +451,9 @@ mod tests {
         for axis in 0..3 {
             let w = &solution.weights[axis];
             for i in 0..37 {
-                let radial: f64 =
-                    (0..37).map(|j| psi(Kernel::Cubic, 0.0, (scaled[i] - scaled[j]).norm_squared()) * w[j]).sum();
+                let radial: f64 = (0..37)
+                    .map(|j| psi(Kernel::Cubic, 0.0, (scaled[i] - scaled[j]).norm_squared()) * w[j])
+                    .sum();
                 let p = [1.0, scaled[i].x, scaled[i].y, scaled[i].z];
                 let affine: f64 = (0..AFFINE).map(|k| p[k] * solution.affine[k][axis]).sum();
                 assert!((radial + affine - data[(i, axis)]).abs() < rounding(&solution));

@@ -68,7 +68,6 @@ impl RegionField {
 pub struct Setup {
     pub(crate) options: Options,
     pub(crate) mesh: SurfaceMesh,
-    pub(crate) topology: Topology,
     pub(crate) components: Vec<Arc<Component>>,
     /// The components in the reference state.
     pub(crate) reference: Vec<Body>,
@@ -214,7 +213,6 @@ impl Setup {
         Ok(Self {
             options,
             mesh,
-            topology,
             components,
             reference,
             positions,
