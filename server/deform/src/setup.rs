@@ -38,11 +38,12 @@ pub struct SetupInput {
 
 /// A field and the vertices that it moves.
 #[derive(Clone, Debug)]
-pub(crate) struct RegionField {
+pub struct RegionField {
     /// The component moved; `None`: all of them.
     pub component: Option<u32>,
     /// Surface coordinates in which departures are measured; `None`: they are vectors in space.
     pub chart: Option<Chart>,
+    /// The factorised system.
     pub field: Field,
     /// Vertices moved: all of the region that are neither on a seam nor fixed.
     pub vertices: Vec<u32>,
@@ -51,6 +52,11 @@ pub(crate) struct RegionField {
 }
 
 impl RegionField {
+    /// Numbers that a departure has.
+    pub fn columns(&self) -> usize {
+        if self.chart.is_some() { 2 } else { 3 }
+    }
+
     fn summary(&self, names: &[String]) -> FieldSummary {
         let training = self.field.training();
         FieldSummary {
@@ -131,7 +137,7 @@ impl Setup {
         monitor.progress(Stage::Seams, 0.0);
         let (seams, seam_summaries) =
             seam_solver(&ownership, &topology, &mesh.vertices, &reference, options.seam, length, monitor)?;
-        let seam_points = seams.eval(&reference, monitor).map_err(|error| match error {
+        let seam_points = seams.eval(&reference, &reference, monitor).map_err(|error| match error {
             DeformError::Cancelled => SetupError::Cancelled,
             other => SetupError::ReferenceSeam(Box::new(other)),
         })?;
@@ -276,6 +282,46 @@ impl Setup {
     /// [`DeformError::ControlPoints`] if counts do not match or a coordinate is not finite.
     pub fn bodies(&self, control_points: &[Vec<[f64; 3]>]) -> Result<Vec<Body>, DeformError> {
         bodies(&self.components, control_points).map_err(DeformError::ControlPoints)
+    }
+
+    /// The components in the reference state.
+    pub fn reference(&self) -> &[Body] {
+        &self.reference
+    }
+
+    /// Reference vertices, on their components, m.
+    pub fn positions(&self) -> &[Vector3] {
+        &self.positions
+    }
+
+    /// The seam search.
+    pub fn seams(&self) -> &SeamSolver {
+        &self.seams
+    }
+
+    /// The displacement fields.
+    pub fn fields(&self) -> &[RegionField] {
+        &self.fields
+    }
+
+    /// Whether a vertex stays in the symmetry plane.
+    pub fn is_in_plane(&self, vertex: u32) -> bool {
+        self.in_plane[vertex as usize]
+    }
+
+    /// Whether a vertex stays where it is in space.
+    pub fn is_stationary(&self, vertex: u32) -> bool {
+        self.stationary[vertex as usize]
+    }
+
+    /// The reference length, m: the diagonal of the mesh's bounding box.
+    pub fn length(&self) -> f64 {
+        self.length
+    }
+
+    /// The smooth union that makes the outer mold line.
+    pub fn union(&self) -> SmoothUnion {
+        self.union
     }
 }
 
@@ -503,10 +549,9 @@ impl Fields<'_> {
             (Some(chart), Some(c)) => {
                 let seam = self.seams.vertices.iter().find_map(|s| self.ownership.on(s.vertex, c));
                 let location = seam.map(|a| a.location)?;
-                let [a, b] = chart.mirror_signs(&self.reference[c as usize], &location, plane)?;
-                Vector3::new(a, b, 0.0)
+                chart.mirror_signs(&self.reference[c as usize], &location, plane)?.to_vec()
             }
-            _ => Vector3::new(1.0, -1.0, 1.0),
+            _ => vec![1.0, -1.0, 1.0],
         };
         Some(Mirror { plane, tolerance, signs })
     }

@@ -6,7 +6,7 @@
 
 use crate::component::{ComponentError, ComponentOptions, Patch};
 use crate::{Location, Vector3};
-use moldline_spline::SurfacePoint;
+use moldline_spline::{SurfaceJet, SurfacePoint};
 
 /// A side of a patch's parameter rectangle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -47,6 +47,11 @@ impl Side {
     pub(crate) fn along_and_inward(self, point: &SurfacePoint) -> (Vector3, Vector3) {
         let (along, across) = if self.holds_u() { (point.d_v, point.d_u) } else { (point.d_u, point.d_v) };
         (along, if self.is_min() { across } else { -across })
+    }
+
+    /// How the derivative across the side, pointing into the patch, changes along it.
+    pub(crate) fn inward_along(self, jet: &SurfaceJet) -> Vector3 {
+        if self.is_min() { jet.d_uv } else { -jet.d_uv }
     }
 }
 
@@ -94,6 +99,11 @@ impl Edge {
     pub fn is_boundary(&self) -> bool {
         self.sides.len() == 1 && !self.collapsed
     }
+
+    /// Whether its two sides have the same points at the same fractions of their ranges.
+    pub fn is_affine(&self) -> bool {
+        self.affine
+    }
 }
 
 /// What a vertex is to a foot point.
@@ -112,13 +122,24 @@ pub enum VertexKind {
 
 /// How a patch touches a vertex.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) enum Incidence {
+pub enum Incidence {
     /// With a corner of its parameter rectangle.
-    Corner { location: Location },
+    Corner {
+        /// The corner.
+        location: Location,
+    },
     /// With an inner point of a side.
-    OnSide { location: Location },
+    OnSide {
+        /// The point.
+        location: Location,
+    },
     /// With a whole side that is collapsed.
-    Pole { patch: u32, side: Side },
+    Pole {
+        /// The patch.
+        patch: u32,
+        /// Its side.
+        side: Side,
+    },
 }
 
 /// A point where edges end.
@@ -127,6 +148,13 @@ pub struct Vertex {
     /// What it is to a foot point.
     pub kind: VertexKind,
     pub(crate) incidences: Vec<Incidence>,
+}
+
+impl Vertex {
+    /// How patches touch it.
+    pub fn incidences(&self) -> &[Incidence] {
+        &self.incidences
+    }
 }
 
 /// A side's pieces in increasing order of the parameter.
