@@ -177,9 +177,9 @@ pub enum SetupError {
     /// The search line does not change sides at the seam.
     #[error(
         "mesh: seam vertex {vertex}: the search line on `{reference}` crosses `{target}` at an angle (sine \
-         {transversality:.1e}), but {} `{target}` both {near:.1e} m before and behind the vertex: `{target}` is \
-         thinner or more strongly curved than that there; make it thicker, or leave it out",
-        if *inside { "is inside" } else { "is outside" }
+         {transversality:.1e}), but lies {} it both {near:.1e} m before and behind the vertex: `{target}` is thinner or \
+         more strongly curved than that there; make it thicker, or leave it out",
+        if *inside { "inside" } else { "outside" }
     )]
     SeamSides {
         /// Index of the vertex.

@@ -446,3 +446,61 @@ fn junction_summary(junctions: &[u32], ownership: &Ownership, bodies: &[Body]) -
         bracket: [f64::NAN; 2],
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use moldline_geometry::{Component, Primitive};
+    use moldline_mesh::{Cell, Topology};
+    use moldline_spline::Vector3;
+
+    use super::*;
+    use crate::Silent;
+
+    /// Two cells, one on the upper face z = 0 of a block, one on the front x = 0 of a plate of the given thickness that
+    /// stands in it.
+    fn plate_in_a_block(thickness: f64) -> Result<(SeamSolver, Vec<SeamSummary>), SetupError> {
+        let corner = Vector3::new;
+        let block = Primitive::Box { low: corner(-8.0, -8.0, -4.0), high: corner(8.0, 8.0, 0.0) };
+        let plate = Primitive::Box { low: corner(0.0, -2.0, -2.0), high: corner(thickness, 2.0, 2.0) };
+        let bodies: Vec<Body> = [("block", block), ("plate", plate)]
+            .iter()
+            .map(|(name, primitive)| {
+                let (component, points) = Component::primitive((*name).into(), primitive).unwrap();
+                Body::new(Arc::new(component), points)
+            })
+            .collect();
+        let vertices = [
+            [-1.0, 0.0, 0.0],
+            [-1.0, 1.0, 0.0],
+            [0.0, 0.0, 0.0],
+            [0.0, 1.0, 0.0],
+            [0.0, 0.0, 1.0],
+            [0.0, 1.0, 1.0],
+        ];
+        let cells = [Cell::quad(0, 2, 3, 1), Cell::quad(2, 4, 5, 3)];
+        let ownership = Ownership::find(&vertices, &cells, &bodies, 1e-9, &Silent)?;
+        let topology = Topology::of_cells(vertices.len(), &cells);
+        seam_solver(&ownership, &topology, &vertices, &bodies, SeamOptions::default(), 4.0, &Silent)
+    }
+
+    #[test]
+    fn lines_cross_the_plate_straight() {
+        let (solver, summaries) = plate_in_a_block(1.0).unwrap();
+        assert_eq!(solver.vertices.len(), 2);
+        assert_eq!(summaries[0].components, ["block", "plate"]);
+        assert!((summaries[0].transversality - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_plate_too_thin_for_its_line_is_named() {
+        let error = plate_in_a_block(1e-3).unwrap_err();
+        let SetupError::SeamSides { vertex, reference, target, transversality, near, inside } = &error else {
+            panic!("{error}")
+        };
+        assert_eq!((*vertex, reference.as_str(), target.as_str(), *inside), (2, "block", "plate", false));
+        assert!((transversality - 1.0).abs() < 1e-12 && *near > 1e-3, "{error}");
+        assert!(error.to_string().contains("`plate` is thinner"), "{error}");
+    }
+}
