@@ -116,6 +116,25 @@ impl Chart {
         at
     }
 
+    /// The end of [`walk`](Self::walk) and its `d(u, v)` by the departure: rows u and v.
+    pub fn walk_derivative(
+        &self,
+        body: &Body,
+        from: &Location,
+        departure: [f64; 2],
+    ) -> (Location, [[f64; 2]; 2]) {
+        let mut at = *from;
+        let mut d = [[0.0; 2]; 2];
+        for k in 0..2 {
+            let Some(map) = &self.maps[at.patch as usize] else { break };
+            let walk = body.walk_derivative(&at, direction(map.axis[k]), map.scale[k] * departure[k]);
+            d = product(&walk.by_start, &d);
+            (0..2).for_each(|row| d[row][k] += map.scale[k] * walk.by_length[row]);
+            at = walk.end;
+        }
+        (at, d)
+    }
+
     /// The departure that leads from one location to another, or `None` if it is not found.
     pub fn unroll(&self, body: &Body, from: &Location, to: &Location, tolerance: f64) -> Option<[f64; 2]> {
         let map = self.maps[from.patch as usize].as_ref()?;
@@ -167,11 +186,31 @@ impl Chart {
         None
     }
 
-    /// The part of a departure along a side's parameter: what a vertex on a sharp edge may do.
-    pub fn along_edge(&self, location: &Location, side: &EdgeSide, departure: [f64; 2]) -> [f64; 2] {
-        let Some(map) = &self.maps[location.patch as usize] else { return [0.0; 2] };
+    /// How a [`departure`](Self::unroll) from `from` changes with the `(u, v)` of `to`.
+    pub fn unroll_derivative(
+        &self,
+        body: &Body,
+        from: &Location,
+        to: &Location,
+        departure: [f64; 2],
+    ) -> [[f64; 2]; 2] {
+        let (end, d) = self.walk_derivative(body, from, departure);
+        // The end is the same point as `to`, perhaps with the parameters of another patch.
+        let (end, to) = (body.point(&end), body.point(to));
+        let a: [Vector3; 2] = std::array::from_fn(|k| end.d_u * d[0][k] + end.d_v * d[1][k]);
+        let (aa, ab, bb) = (a[0].norm_squared(), a[0].dot(&a[1]), a[1].norm_squared());
+        let determinant = aa * bb - ab * ab;
+        let dual = [(a[0] * bb - a[1] * ab) / determinant, (a[1] * aa - a[0] * ab) / determinant];
+        dual.map(|row| [row.dot(&to.d_u), row.dot(&to.d_v)])
+    }
+
+    /// Which coordinates of a departure run along a side: what a vertex on a sharp edge may do.
+    pub fn along_edge(&self, location: &Location, side: &EdgeSide) -> [bool; 2] {
         let along = usize::from(side.side.holds_u());
-        std::array::from_fn(|k| if map.axis[k] == along { departure[k] } else { 0.0 })
+        match &self.maps[location.patch as usize] {
+            Some(map) => map.axis.map(|axis| axis == along),
+            None => [false; 2],
+        }
     }
 
     /// Signs of a departure's mirror image at a plane that the component is symmetric about.
@@ -187,6 +226,11 @@ impl Chart {
         let (here, there) = (tangents(location)?, tangents(&image)?);
         Some([0, 1].map(|k| (mirrored(here[k]) - origin).dot(&there[k]).signum()))
     }
+}
+
+/// Product of 2 x 2 matrices.
+pub(crate) fn product(a: &[[f64; 2]; 2], b: &[[f64; 2]; 2]) -> [[f64; 2]; 2] {
+    std::array::from_fn(|i| std::array::from_fn(|j| a[i][0] * b[0][j] + a[i][1] * b[1][j]))
 }
 
 fn direction(axis: usize) -> ParameterDirection {

@@ -1,6 +1,7 @@
 //! The displacement field (sec. III.E of the paper, eq. 16 and 17): training data from the seams, radial basis functions
 //! through them, values at all vertices of a region.
 
+use moldline_geometry::{Block, block::add_row};
 use moldline_mesh::Plane;
 use moldline_spline::Vector3;
 
@@ -10,7 +11,7 @@ use crate::{
 };
 
 /// The mirror that completes a half model.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Mirror<'a> {
     /// The symmetry plane.
     pub plane: &'a Plane,
@@ -27,7 +28,7 @@ pub struct Field {
     /// Training vertices whose mirror images are centres too: those of a half model that are off its plane.
     images: Vec<u32>,
     /// What the mirror does to a datum, component by component.
-    mirror_signs: Vector3,
+    mirror_signs: Vec<f64>,
     basis: RadialBasis,
 }
 
@@ -47,16 +48,16 @@ impl Field {
         let at = |t: &TrainingVertex| reference[t.vertex as usize];
         let mut centres: Vec<Vector3> = training.iter().map(at).collect();
         let mut images = Vec::new();
-        if let Some(Mirror { plane, tolerance, .. }) = mirror {
+        if let Some(Mirror { plane, tolerance, .. }) = &mirror {
             for (i, t) in (0u32..).zip(&training) {
                 let x: [f64; 3] = at(t).into();
-                if plane.signed_distance(&x).abs() > tolerance {
+                if plane.signed_distance(&x).abs() > *tolerance {
                     images.push(i);
                     centres.push(Vector3::from(plane.mirror(&x)));
                 }
             }
         }
-        let mirror_signs = mirror.map_or(Vector3::zeros(), |m| m.signs);
+        let mirror_signs = mirror.map_or_else(Vec::new, |m| m.signs);
         Ok(Self {
             basis: RadialBasis::new(kernel, &centres, regularisation)?,
             training,
@@ -85,28 +86,57 @@ impl Field {
         self.basis.bytes()
     }
 
-    /// Field values at `points`. The datum of training vertex `i` is (eq. 15)
-    /// `(1 - alpha_i) component_motion(vertex_i) + sum_k weight_ik seam_motion[k]`, in metres.
+    /// Field values at `points`, a row each. `seam_motion`: what each seam vertex does, a row each. The datum of training
+    /// vertex `i` is (eq. 15) `(1 - alpha_i) component_motion(vertex_i) + sum_k weight_ik seam_motion[k]`;
+    /// `component_motion` adds a multiple of it to a row. Linear in both, so that this is its own derivative.
     pub fn eval(
         &self,
-        seam_motion: &[Vector3],
-        component_motion: impl Fn(u32) -> Vector3,
+        seam_motion: &Block,
+        component_motion: impl Fn(u32, f64, &mut [f64]),
         points: &[Vector3],
-        out: &mut [Vector3],
-    ) {
-        let mut data: Vec<Vector3> = self
-            .training
-            .iter()
-            .map(|t| {
-                let seams: Vector3 =
-                    t.seams.iter().map(|&(k, weight)| seam_motion[k as usize] * weight).sum();
-                let alpha = t.alpha();
-                if alpha == 1.0 { seams } else { component_motion(t.vertex) * (1.0 - alpha) + seams }
-            })
-            .collect();
-        for &i in &self.images {
-            data.push(data[i as usize].component_mul(&self.mirror_signs));
+    ) -> Block {
+        let mut data = Block::zeros(self.training.len() + self.images.len(), seam_motion.width());
+        for (i, t) in self.training.iter().enumerate() {
+            let row = data.row_mut(i);
+            for &(k, weight) in &t.seams {
+                add_row(row, weight, seam_motion.row(k as usize));
+            }
+            if t.alpha() != 1.0 {
+                component_motion(t.vertex, 1.0 - t.alpha(), row);
+            }
         }
-        self.basis.evaluate(&self.basis.fit(&data), points, out);
+        for (image, &i) in (self.training.len()..).zip(&self.images) {
+            let signs = &self.mirror_signs;
+            let mirrored: Vec<f64> =
+                data.row(i as usize).iter().zip(signs.iter().cycle()).map(|(x, sign)| sign * x).collect();
+            data.row_mut(image).copy_from_slice(&mirrored);
+        }
+        self.basis.evaluate(&self.basis.fit(&data), points)
+    }
+
+    /// The transpose of [`eval`](Self::eval): adds the seeds of the seam motions to `seam_motion`, and hands
+    /// those of the component motions, with the factor that belongs to them, to `component_motion`.
+    pub fn vjp(
+        &self,
+        points: &[Vector3],
+        seeds: &Block,
+        seam_motion: &mut Block,
+        mut component_motion: impl FnMut(u32, f64, &[f64]),
+    ) {
+        let mut data = self.basis.fit_vjp(&self.basis.evaluate_vjp(points, seeds));
+        for (image, &i) in (self.training.len()..).zip(&self.images) {
+            let signs = &self.mirror_signs;
+            let mirrored: Vec<f64> =
+                data.row(image).iter().zip(signs.iter().cycle()).map(|(x, sign)| sign * x).collect();
+            add_row(data.row_mut(i as usize), 1.0, &mirrored);
+        }
+        for (i, t) in self.training.iter().enumerate() {
+            for &(k, weight) in &t.seams {
+                add_row(seam_motion.row_mut(k as usize), weight, data.row(i));
+            }
+            if t.alpha() != 1.0 {
+                component_motion(t.vertex, 1.0 - t.alpha(), data.row(i));
+            }
+        }
     }
 }

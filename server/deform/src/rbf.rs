@@ -6,11 +6,11 @@
 //! applies. The saddle-point matrix is symmetric: the same factor serves the adjoint.
 
 use faer::{
-    Mat, Par, Spec,
+    Accum, Mat, MatMut, MatRef, Par, Spec,
     dyn_stack::{MemBuffer, MemStack},
-    linalg::cholesky::llt,
-    reborrow::ReborrowMut,
+    linalg::{cholesky::llt, matmul::matmul},
 };
+use moldline_geometry::Block;
 use moldline_spline::Vector3;
 use pulp::Arch;
 use rayon::prelude::*;
@@ -45,6 +45,12 @@ pub enum RbfError {
 const LANES: usize = 8;
 /// Points evaluated by one task.
 const TILE: usize = 128;
+/// Centres whose kernel values are formed at once when there are many columns.
+const PANEL: usize = 256;
+/// Columns up to which kernel values are formed and used in registers.
+const FEW: usize = 3;
+/// Columns solved by one task.
+const COLUMNS: usize = 16;
 /// Dimension of the affine space.
 const AFFINE: usize = 4;
 
@@ -55,9 +61,7 @@ pub struct RadialBasis {
     /// Moves and scales the centres into the unit box.
     origin: Vector3,
     scale: f64,
-    /// Scaled centres, one array a coordinate, padded to whole lanes.
-    centres: [Vec<f64>; 3],
-    count: usize,
+    centres: Cloud,
     /// Householder vectors of `P = Q [R; 0]`, unit norm.
     reflectors: Vec<Vec<f64>>,
     /// `R`, upper triangular.
@@ -68,13 +72,51 @@ pub struct RadialBasis {
     factor: Mat<f64>,
 }
 
-/// Weights and affine part of one vector-valued interpolant.
-#[derive(Clone, Debug, Default, PartialEq)]
+/// Scaled points, one array a coordinate, padded to whole lanes.
+#[derive(Clone, Debug)]
+struct Cloud {
+    coordinates: [Vec<f64>; 3],
+    count: usize,
+}
+
+impl Cloud {
+    fn new(points: &[Vector3]) -> Self {
+        let padded = points.len().next_multiple_of(LANES);
+        let coordinates = std::array::from_fn(|axis| {
+            let mut values: Vec<f64> = points.iter().map(|p| p[axis]).collect();
+            values.resize(padded, 0.0);
+            values
+        });
+        Self { coordinates, count: points.len() }
+    }
+
+    fn padded(&self) -> usize {
+        self.coordinates[0].len()
+    }
+
+    fn get(&self, i: usize) -> Vector3 {
+        Vector3::new(self.coordinates[0][i], self.coordinates[1][i], self.coordinates[2][i])
+    }
+}
+
+/// Weights and affine parts of a number of interpolants (columns) over the same centres; or seeds of them.
+#[derive(Clone, Debug, PartialEq)]
 pub struct Coefficients {
-    /// `w_j`, one array a component, padded to whole lanes with zeros.
-    weights: [Vec<f64>; 3],
-    /// Rows: 1, x, y, z in scaled coordinates.
-    affine: [Vector3; AFFINE],
+    /// `w_j`, column after column, each padded to whole lanes with zeros.
+    weights: Vec<f64>,
+    /// Rows 1, x, y, z in scaled coordinates, one number a column.
+    affine: Block,
+}
+
+impl Coefficients {
+    fn columns(&self) -> usize {
+        self.affine.width()
+    }
+
+    fn weights_of(&self, column: usize) -> &[f64] {
+        let padded = self.weights.len() / self.columns();
+        &self.weights[column * padded..(column + 1) * padded]
+    }
 }
 
 impl RadialBasis {
@@ -127,125 +169,286 @@ impl RadialBasis {
         .map_err(|llt::factor::LltError::NonPositivePivot { index }| RbfError::Coincident {
             centre: index + AFFINE,
         })?;
-        let padded = count.next_multiple_of(LANES);
-        let centres = std::array::from_fn(|axis| {
-            let mut values: Vec<f64> = scaled.iter().map(|c| c[axis]).collect();
-            values.resize(padded, 0.0);
-            values
-        });
-        Ok(Self { kernel, origin, scale, centres, count, reflectors, triangle, top, factor })
+        Ok(Self { kernel, origin, scale, centres: Cloud::new(&scaled), reflectors, triangle, top, factor })
     }
 
     /// Number of centres.
     pub fn centre_count(&self) -> usize {
-        self.count
+        self.centres.count
     }
 
     /// Bytes held, for budgets.
     pub fn bytes(&self) -> usize {
-        let size = self.count.saturating_sub(AFFINE);
-        8 * (size * size + 2 * AFFINE * self.count + 3 * self.centres[0].len())
+        let size = self.centres.count.saturating_sub(AFFINE);
+        8 * (size * size + 2 * AFFINE * self.centres.count + 3 * self.centres.padded())
     }
 
-    /// The interpolant through `data`, one vector a centre.
+    /// The interpolants through `data`: a row for each centre, a column for each interpolant. Linear in the data.
     ///
     /// # Panics
-    /// If there is not one datum for each centre.
-    pub fn fit(&self, data: &[Vector3]) -> Coefficients {
-        assert_eq!(data.len(), self.count, "one datum for each centre");
-        let mut right = Mat::<f64>::from_fn(self.count, 3, |i, axis| data[i][axis]);
-        self.solve([[0.0; 3]; AFFINE], &mut right)
+    /// If there is not one row for each centre.
+    pub fn fit(&self, data: &Block) -> Coefficients {
+        self.solve(&Block::zeros(AFFINE, data.width()), data)
     }
 
-    /// Solves `[[Psi, P], [P^T, 0]] [w; a] = [data; moments]`; `data` is overwritten with `w`.
-    fn solve(&self, moments: [[f64; 3]; AFFINE], data: &mut Mat<f64>) -> Coefficients {
-        // In the basis Q: w_1 = R^-T moments, A_22 w_2 = d_2 - A_21 w_1, a = R^-1 (d_1 - A_11 w_1 - A_12 w_2).
-        reflect_rows(data, &self.reflectors, false);
-        let mut first = moments;
-        for axis in 0..3 {
-            for i in 0..AFFINE {
-                let known: f64 = (0..i).map(|k| self.triangle[k][i] * first[k][axis]).sum();
-                first[i][axis] = (first[i][axis] - known) / self.triangle[i][i];
-            }
+    /// The transpose of [`fit`](Self::fit): seeds of the data for seeds of the coefficients. The system is symmetric.
+    pub fn fit_vjp(&self, seeds: &Coefficients) -> Block {
+        let columns = seeds.columns();
+        let mut right = Block::zeros(self.centres.count, columns);
+        for column in 0..columns {
+            let weights = seeds.weights_of(column);
+            (0..self.centres.count).for_each(|i| right.row_mut(i)[column] = weights[i]);
         }
-        let mut affine_right = [[0.0; 3]; AFFINE];
-        for axis in 0..3 {
-            for k in 0..AFFINE {
-                affine_right[k][axis] = data[(k, axis)];
-                data[(k, axis)] = first[k][axis];
-                for i in AFFINE..self.count {
-                    data[(i, axis)] -= self.top[(k, i)] * first[k][axis];
+        let solution = self.solve(&seeds.affine, &right);
+        for column in 0..columns {
+            let weights = solution.weights_of(column);
+            (0..self.centres.count).for_each(|i| right.row_mut(i)[column] = weights[i]);
+        }
+        right
+    }
+
+    /// Solves `[[Psi, P], [P^T, 0]] [w; a] = [data; moments]`.
+    fn solve(&self, moments: &Block, data: &Block) -> Coefficients {
+        let (count, columns) = (self.centres.count, data.width());
+        assert_eq!(data.data().len(), count * columns, "one row for each centre");
+        let padded = self.centres.padded();
+        let mut weights = vec![0.0; padded * columns];
+        let mut affine = Block::zeros(AFFINE, columns);
+        let parts: Vec<Vec<[f64; AFFINE]>> = weights
+            .par_chunks_mut(padded * COLUMNS)
+            .enumerate()
+            .map(|(chunk, weights)| {
+                let first = COLUMNS * chunk;
+                let width = weights.len() / padded;
+                let mut right = Mat::<f64>::from_fn(count, width, |i, c| data.row(i)[first + c]);
+                let moments: Vec<[f64; AFFINE]> =
+                    (first..first + width).map(|c| std::array::from_fn(|k| moments.row(k)[c])).collect();
+                let affine = self.solve_columns(&moments, &mut right);
+                for (column, weights) in weights.chunks_mut(padded).enumerate() {
+                    weights[..count].copy_from_slice(right.col_as_slice(column));
                 }
-            }
+                affine
+            })
+            .collect();
+        for (column, part) in parts.iter().flatten().enumerate() {
+            (0..AFFINE).for_each(|k| affine.row_mut(k)[column] = part[k]);
         }
-        let mut rest = data.get_mut(AFFINE.., ..);
-        let mut memory =
-            MemBuffer::new(llt::solve::solve_in_place_scratch::<f64>(self.count - AFFINE, 3, Par::Seq));
-        llt::solve::solve_in_place(self.factor.as_ref(), rest.rb_mut(), Par::Seq, MemStack::new(&mut memory));
-        let mut affine = [Vector3::zeros(); AFFINE];
-        for axis in 0..3 {
-            for k in (0..AFFINE).rev() {
-                let known: f64 = (0..self.count).map(|i| self.top[(k, i)] * data[(i, axis)]).sum();
-                let later: f64 = (k + 1..AFFINE).map(|l| self.triangle[k][l] * affine[l][axis]).sum();
-                affine[k][axis] = (affine_right[k][axis] - known - later) / self.triangle[k][k];
-            }
-        }
-        reflect_rows(data, &self.reflectors, true);
-        let padded = self.centres[0].len();
-        let weights = std::array::from_fn(|axis| {
-            let mut column: Vec<f64> = (0..self.count).map(|i| data[(i, axis)]).collect();
-            column.resize(padded, 0.0);
-            column
-        });
         Coefficients { weights, affine }
     }
 
-    /// The field at `points` (metres), in parallel over tiles of points; each value is summed in one fixed order.
-    ///
-    /// # Panics
-    /// If `points` and `out` differ in length.
-    pub fn evaluate(&self, coefficients: &Coefficients, points: &[Vector3], out: &mut [Vector3]) {
-        assert_eq!(points.len(), out.len(), "one value for each point");
-        let arch = Arch::new();
-        points.par_chunks(TILE).zip(out.par_chunks_mut(TILE)).for_each(|(points, out)| {
-            // The dispatch compiles the loop for the widest vectors that the processor has.
+    /// [`solve`](Self::solve) in place, column by column; returns the affine parts.
+    fn solve_columns(&self, moments: &[[f64; AFFINE]], data: &mut Mat<f64>) -> Vec<[f64; AFFINE]> {
+        // In the basis Q: w_1 = R^-T moments, A_22 w_2 = d_2 - A_21 w_1, a = R^-1 (d_1 - A_11 w_1 - A_12 w_2).
+        let count = self.centres.count;
+        reflect_rows(data, &self.reflectors, false);
+        let mut affine = Vec::with_capacity(moments.len());
+        for (column, moments) in moments.iter().enumerate() {
+            let mut first = *moments;
+            for i in 0..AFFINE {
+                let known: f64 = (0..i).map(|k| self.triangle[k][i] * first[k]).sum();
+                first[i] = (first[i] - known) / self.triangle[i][i];
+            }
+            let column = data.col_as_slice_mut(column);
+            affine.push(std::array::from_fn(|k| column[k]));
+            column[..AFFINE].copy_from_slice(&first);
+            for i in AFFINE..count {
+                column[i] -= (0..AFFINE).map(|k| self.top[(k, i)] * first[k]).sum::<f64>();
+            }
+        }
+        let width = data.ncols();
+        let mut memory =
+            MemBuffer::new(llt::solve::solve_in_place_scratch::<f64>(count - AFFINE, width, Par::Seq));
+        llt::solve::solve_in_place(
+            self.factor.as_ref(),
+            data.get_mut(AFFINE.., ..),
+            Par::Seq,
+            MemStack::new(&mut memory),
+        );
+        for (column, affine) in affine.iter_mut().enumerate() {
+            let column = data.col_as_slice(column);
+            for k in (0..AFFINE).rev() {
+                let known: f64 = (0..count).map(|i| self.top[(k, i)] * column[i]).sum();
+                let later: f64 = (k + 1..AFFINE).map(|l| self.triangle[k][l] * affine[l]).sum();
+                affine[k] = (affine[k] - known - later) / self.triangle[k][k];
+            }
+        }
+        reflect_rows(data, &self.reflectors, true);
+        affine
+    }
+
+    /// The fields at `points` (metres), one row a point. In parallel over tiles of points; each value is summed in one
+    /// fixed order.
+    pub fn evaluate(&self, coefficients: &Coefficients, points: &[Vector3]) -> Block {
+        let columns = coefficients.columns();
+        let scaled = self.scaled(points);
+        let mut out = Block::zeros(points.len(), columns);
+        self.sums(&scaled, &self.centres, &coefficients.weights, &mut out);
+        let rows = out.data_mut().chunks_mut(columns.max(1));
+        for (row, x) in rows.zip(&scaled) {
+            for (k, p) in [1.0, x.x, x.y, x.z].into_iter().enumerate() {
+                row.iter_mut().zip(coefficients.affine.row(k)).for_each(|(out, a)| *out += a * p);
+            }
+        }
+        out
+    }
+
+    /// The transpose of [`evaluate`](Self::evaluate): seeds of the coefficients for seeds of the values. Points and
+    /// centres change their roles.
+    pub fn evaluate_vjp(&self, points: &[Vector3], seeds: &Block) -> Coefficients {
+        let columns = seeds.width();
+        let scaled = self.scaled(points);
+        let cloud = Cloud::new(&scaled);
+        let mut affine = Block::zeros(AFFINE, columns);
+        let mut by_column = vec![0.0; cloud.padded() * columns];
+        for (i, x) in scaled.iter().enumerate() {
+            for (k, p) in [1.0, x.x, x.y, x.z].into_iter().enumerate() {
+                affine.row_mut(k).iter_mut().zip(seeds.row(i)).for_each(|(a, seed)| *a += p * seed);
+            }
+            for (column, seed) in seeds.row(i).iter().enumerate() {
+                by_column[column * cloud.padded() + i] = *seed;
+            }
+        }
+        let centres: Vec<Vector3> = (0..self.centres.count).map(|i| self.centres.get(i)).collect();
+        let mut out = Block::zeros(centres.len(), columns);
+        self.sums(&centres, &cloud, &by_column, &mut out);
+        let padded = self.centres.padded();
+        let mut weights = vec![0.0; padded * columns];
+        for i in 0..centres.len() {
+            for (column, value) in out.row(i).iter().enumerate() {
+                weights[column * padded + i] = *value;
+            }
+        }
+        Coefficients { weights, affine }
+    }
+
+    fn scaled(&self, points: &[Vector3]) -> Vec<Vector3> {
+        points.iter().map(|p| (p - self.origin) / self.scale).collect()
+    }
+
+    /// `out[i] = sum_j psi(|targets_i - sources_j|) weights_j` for all columns.
+    fn sums(&self, targets: &[Vector3], sources: &Cloud, weights: &[f64], out: &mut Block) {
+        let columns = out.width();
+        if columns == 0 {
+            return;
+        }
+        match self.kernel {
+            Kernel::Linear => {
+                tiled(targets, sources, weights, out, #[inline(always)] |squared: f64| -squared.sqrt());
+            }
+            Kernel::Cubic => tiled(
+                targets,
+                sources,
+                weights,
+                out,
+                #[inline(always)]
+                |squared: f64| squared * squared.sqrt(),
+            ),
+        }
+    }
+}
+
+/// Tiles of targets in parallel.
+fn tiled(
+    targets: &[Vector3],
+    sources: &Cloud,
+    weights: &[f64],
+    out: &mut Block,
+    psi: impl Fn(f64) -> f64 + Copy + Send + Sync,
+) {
+    let columns = out.width();
+    let arch = Arch::new();
+    let tiles = targets.par_chunks(TILE).zip(out.data_mut().par_chunks_mut(TILE * columns));
+    // The dispatch compiles the loops for the widest vectors that the processor has.
+    if columns <= FEW {
+        tiles.for_each(|(targets, out)| {
             arch.dispatch(
                 #[inline(always)]
-                || {
-                    for (point, out) in points.iter().zip(out) {
-                        *out = match self.kernel {
-                            Kernel::Linear => self.value(coefficients, point, |squared| -squared.sqrt()),
-                            Kernel::Cubic => {
-                                self.value(coefficients, point, |squared| squared * squared.sqrt())
-                            }
-                        };
-                    }
+                || match columns {
+                    1 => few::<1>(targets, sources, weights, out, psi),
+                    2 => few::<2>(targets, sources, weights, out, psi),
+                    _ => few::<3>(targets, sources, weights, out, psi),
                 },
             );
         });
+    } else {
+        tiles.for_each_init(
+            || vec![0.0; TILE * PANEL],
+            |panel, (targets, out)| {
+                for first in (0..sources.count).step_by(PANEL) {
+                    let last = (first + PANEL).min(sources.count);
+                    arch.dispatch(
+                        #[inline(always)]
+                        || kernel_panel(targets, sources, first..last, panel, psi),
+                    );
+                    let (rows, width) = (targets.len(), last - first);
+                    let panel = MatRef::from_column_major_slice_with_stride(panel, rows, width, TILE);
+                    let weights = MatRef::from_column_major_slice_with_stride(
+                        &weights[first..],
+                        width,
+                        columns,
+                        sources.padded(),
+                    );
+                    let out = MatMut::from_row_major_slice_mut(out, rows, columns);
+                    matmul(out, Accum::Add, panel, weights, 1.0, Par::Seq);
+                }
+            },
+        );
     }
+}
 
-    #[inline(always)]
-    fn value(&self, coefficients: &Coefficients, point: &Vector3, psi: impl Fn(f64) -> f64) -> Vector3 {
-        let x = (point - self.origin) / self.scale;
-        let [centres_x, centres_y, centres_z] = self.centres.each_ref().map(|c| c.as_chunks::<LANES>().0);
-        let [weights_x, weights_y, weights_z] =
-            coefficients.weights.each_ref().map(|w| w.as_chunks::<LANES>().0);
-        let mut sums = [[0.0; LANES]; 3];
-        for (((((cx, cy), cz), wx), wy), wz) in
-            centres_x.iter().zip(centres_y).zip(centres_z).zip(weights_x).zip(weights_y).zip(weights_z)
-        {
+/// Sums of one tile for up to [`FEW`] columns.
+#[inline(always)]
+fn few<const N: usize>(
+    targets: &[Vector3],
+    sources: &Cloud,
+    weights: &[f64],
+    out: &mut [f64],
+    psi: impl Fn(f64) -> f64,
+) {
+    let [x, y, z] = sources.coordinates.each_ref().map(|c| c.as_chunks::<LANES>().0);
+    let padded = sources.padded();
+    let weights: [&[[f64; LANES]]; N] =
+        std::array::from_fn(|k| weights[k * padded..(k + 1) * padded].as_chunks::<LANES>().0);
+    for (target, out) in targets.iter().zip(out.chunks_exact_mut(N)) {
+        let mut sums = [[0.0; LANES]; N];
+        for chunk in 0..x.len() {
             for lane in 0..LANES {
-                let (dx, dy, dz) = (x.x - cx[lane], x.y - cy[lane], x.z - cz[lane]);
+                let dx = target.x - x[chunk][lane];
+                let dy = target.y - y[chunk][lane];
+                let dz = target.z - z[chunk][lane];
                 let value = psi(dx * dx + dy * dy + dz * dz);
-                sums[0][lane] += value * wx[lane];
-                sums[1][lane] += value * wy[lane];
-                sums[2][lane] += value * wz[lane];
+                for k in 0..N {
+                    sums[k][lane] += value * weights[k][chunk][lane];
+                }
             }
         }
-        let radial = Vector3::from_iterator(sums.iter().map(|lanes| lanes.iter().sum()));
-        let [constant, a_x, a_y, a_z] = coefficients.affine;
-        radial + constant + a_x * x.x + a_y * x.y + a_z * x.z
+        for (out, lanes) in out.iter_mut().zip(&sums) {
+            *out = lanes.iter().sum();
+        }
+    }
+}
+
+/// Kernel values between the targets of a tile and some sources, source after source.
+#[inline(always)]
+fn kernel_panel(
+    targets: &[Vector3],
+    sources: &Cloud,
+    range: std::ops::Range<usize>,
+    panel: &mut [f64],
+    psi: impl Fn(f64) -> f64,
+) {
+    let mut tile = [[0.0; TILE]; 3];
+    for (i, target) in targets.iter().enumerate() {
+        (0..3).for_each(|axis| tile[axis][i] = target[axis]);
+    }
+    for (column, j) in panel.chunks_exact_mut(TILE).zip(range) {
+        let source = sources.get(j);
+        for i in 0..TILE {
+            let dx = tile[0][i] - source.x;
+            let dy = tile[1][i] - source.y;
+            let dz = tile[2][i] - source.z;
+            column[i] = psi(dx * dx + dy * dy + dz * dz);
+        }
     }
 }
 
@@ -343,8 +546,15 @@ mod tests {
     /// What a backward stable solution leaves: the rounding of the sums over weights that are much larger than the data,
     /// here neighbours with opposite data, times a modest factor.
     fn rounding(coefficients: &Coefficients) -> f64 {
-        let sums = coefficients.weights.iter().map(|w| w.iter().map(|w| w.abs()).sum::<f64>());
+        let columns = 0..coefficients.columns();
+        let sums = columns.map(|c| coefficients.weights_of(c).iter().map(|w| w.abs()).sum::<f64>());
         100.0 * f64::EPSILON * (1.0 + sums.fold(0.0, f64::max))
+    }
+
+    fn block(vectors: &[Vector3]) -> Block {
+        let mut block = Block::zeros(vectors.len(), 3);
+        vectors.iter().enumerate().for_each(|(i, v)| block.row_mut(i).copy_from_slice(v.as_slice()));
+        block
     }
 
     #[test]
@@ -354,11 +564,11 @@ mod tests {
             let data: Vec<Vector3> =
                 centres.iter().map(|c| Vector3::new(c.x.sin(), c.y * c.z, (c.x * c.y).cos())).collect();
             let basis = RadialBasis::new(kernel, &centres, 0.0).unwrap();
-            let mut out = vec![Vector3::zeros(); centres.len()];
-            let coefficients = basis.fit(&data);
-            basis.evaluate(&coefficients, &centres, &mut out);
+            let coefficients = basis.fit(&block(&data));
+            let out = basis.evaluate(&coefficients, &centres);
             let bound = rounding(&coefficients);
-            for (value, datum) in out.iter().zip(&data) {
+            for (i, datum) in data.iter().enumerate() {
+                let value = out.vector(i, 0);
                 assert!(
                     (value - datum).norm() < bound,
                     "{kernel:?}: {value} is not {datum} within {bound:e}"
@@ -375,10 +585,9 @@ mod tests {
             let data: Vec<Vector3> = centres.iter().map(affine).collect();
             let basis = RadialBasis::new(kernel, &centres, 0.0).unwrap();
             let points = scattered(1000, 3);
-            let mut out = vec![Vector3::zeros(); points.len()];
-            basis.evaluate(&basis.fit(&data), &points, &mut out);
-            for (point, value) in points.iter().zip(&out) {
-                assert!((value - affine(point)).norm() < 1e-10);
+            let out = basis.evaluate(&basis.fit(&block(&data)), &points);
+            for (i, point) in points.iter().enumerate() {
+                assert!((out.vector(i, 0) - affine(point)).norm() < 1e-10);
             }
         }
     }
@@ -388,22 +597,23 @@ mod tests {
         let centres = scattered(37, 4);
         let basis = RadialBasis::new(Kernel::Cubic, &centres, 0.0).unwrap();
         let scaled: Vec<Vector3> = centres.iter().map(|c| (c - basis.origin) / basis.scale).collect();
-        let data = Mat::<f64>::from_fn(37, 3, |i, j| ((3 * i + j) as f64).sin());
-        let moments: [[f64; 3]; AFFINE] = std::array::from_fn(|k| [k as f64, 1.0, -0.3]);
-        let mut right = data.clone();
-        let solution = basis.solve(moments, &mut right);
+        let mut data = Block::zeros(37, 3);
+        data.data_mut().iter_mut().enumerate().for_each(|(i, x)| *x = (i as f64).sin());
+        let mut moments = Block::zeros(AFFINE, 3);
+        (0..AFFINE).for_each(|k| moments.row_mut(k).copy_from_slice(&[k as f64, 1.0, -0.3]));
+        let solution = basis.solve(&moments, &data);
         for axis in 0..3 {
-            let w = &solution.weights[axis];
+            let w = solution.weights_of(axis);
             for i in 0..37 {
                 let radial: f64 =
                     (0..37).map(|j| psi(Kernel::Cubic, (scaled[i] - scaled[j]).norm()) * w[j]).sum();
                 let p = [1.0, scaled[i].x, scaled[i].y, scaled[i].z];
-                let affine: f64 = (0..AFFINE).map(|k| p[k] * solution.affine[k][axis]).sum();
-                assert!((radial + affine - data[(i, axis)]).abs() < rounding(&solution));
+                let affine: f64 = (0..AFFINE).map(|k| p[k] * solution.affine.row(k)[axis]).sum();
+                assert!((radial + affine - data.row(i)[axis]).abs() < rounding(&solution));
             }
-            assert!((w[..37].iter().sum::<f64>() - moments[0][axis]).abs() < rounding(&solution));
+            assert!((w[..37].iter().sum::<f64>() - moments.row(0)[axis]).abs() < rounding(&solution));
             let first: f64 = (0..37).map(|j| w[j] * scaled[j].x).sum();
-            assert!((first - moments[1][axis]).abs() < rounding(&solution));
+            assert!((first - moments.row(1)[axis]).abs() < rounding(&solution));
         }
     }
 
@@ -414,9 +624,8 @@ mod tests {
             (0..60).map(|i| Vector3::repeat(if i % 2 == 0 { 1.0 } else { -1.0 })).collect();
         let misfit = |regularisation: f64| {
             let basis = RadialBasis::new(Kernel::Cubic, &centres, regularisation).unwrap();
-            let mut out = vec![Vector3::zeros(); 60];
-            basis.evaluate(&basis.fit(&data), &centres, &mut out);
-            out.iter().zip(&data).map(|(a, b)| (a - b).norm_squared()).sum::<f64>()
+            let out = basis.evaluate(&basis.fit(&block(&data)), &centres);
+            (0..60).map(|i| (out.vector(i, 0) - data[i]).norm_squared()).sum::<f64>()
         };
         let misfits = [misfit(0.0), misfit(1e-3), misfit(1e-1)];
         assert!(misfits[0] < 1e-18 && misfits[0] < misfits[1] && misfits[1] < misfits[2], "{misfits:?}");
@@ -442,11 +651,58 @@ mod tests {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             pool.install(|| {
                 let basis = RadialBasis::new(Kernel::Cubic, &centres, 0.0).unwrap();
-                let mut out = vec![Vector3::zeros(); points.len()];
-                basis.evaluate(&basis.fit(&centres), &points, &mut out);
-                out
+                let one = basis.evaluate(&basis.fit(&block(&centres)), &points);
+                let many = basis.evaluate(&basis.fit(&columns(&centres, 40)), &points);
+                let seeds = basis.fit_vjp(&basis.evaluate_vjp(&points, &many));
+                (one, many, seeds)
             })
         };
         assert_eq!(run(1), run(2));
+    }
+
+    /// Every centre with so many different numbers.
+    fn columns(centres: &[Vector3], width: usize) -> Block {
+        let mut block = Block::zeros(centres.len(), width);
+        for (i, c) in centres.iter().enumerate() {
+            block.row_mut(i).iter_mut().enumerate().for_each(|(k, x)| *x = (c.x + k as f64 * c.y).sin());
+        }
+        block
+    }
+
+    #[test]
+    fn columns_are_independent() {
+        let (centres, points) = (scattered(600, 10), scattered(500, 11));
+        for kernel in [Kernel::Linear, Kernel::Cubic] {
+            let basis = RadialBasis::new(kernel, &centres, 0.0).unwrap();
+            let data = columns(&centres, 20);
+            let coefficients = basis.fit(&data);
+            let all = basis.evaluate(&coefficients, &points);
+            let bound = rounding(&coefficients);
+            for column in 0..20 {
+                let mut single = Block::zeros(600, 1);
+                (0..600).for_each(|i| single.row_mut(i)[0] = data.row(i)[column]);
+                let one = basis.evaluate(&basis.fit(&single), &points);
+                for i in 0..points.len() {
+                    assert!((one.row(i)[0] - all.row(i)[column]).abs() < bound);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn transposes_agree() {
+        let (centres, points) = (scattered(150, 12), scattered(400, 13));
+        let dot = |a: &Block, b: &Block| -> f64 { a.data().iter().zip(b.data()).map(|(a, b)| a * b).sum() };
+        for kernel in [Kernel::Linear, Kernel::Cubic] {
+            let basis = RadialBasis::new(kernel, &centres, 0.0).unwrap();
+            for width in [1, 2, 3, 12, 45] {
+                let (data, seeds) = (columns(&centres, width), columns(&points, width));
+                let coefficients = basis.fit(&data);
+                let forward = dot(&seeds, &basis.evaluate(&coefficients, &points));
+                let backward = dot(&basis.fit_vjp(&basis.evaluate_vjp(&points, &seeds)), &data);
+                let bound = 400.0 * width as f64 * rounding(&coefficients);
+                assert!((forward - backward).abs() < bound, "{forward} {backward} {bound:e}");
+            }
+        }
     }
 }

@@ -85,6 +85,8 @@ pub struct SeamPoint {
     pub locations: Vec<Location>,
     /// Largest distance to an owner, m.
     pub residual: f64,
+    /// Where on its line it is; zero for a junction.
+    pub lambda: f64,
 }
 
 /// The search over all seam vertices of a set-up.
@@ -107,23 +109,31 @@ struct Residual {
     speed: f64,
 }
 
-/// The location at `lambda` of a line.
-pub(crate) fn along(body: &Body, start: &Location, direction: [f64; 2], lambda: f64) -> Location {
+const PARAMETERS: [ParameterDirection; 2] = [ParameterDirection::U, ParameterDirection::V];
+
+/// The location at `lambda` of a line. Lines are walked on the component in its reference state, so that they stay the
+/// same in its parameters whatever becomes of it.
+pub(crate) fn along(reference: &Body, start: &Location, direction: [f64; 2], lambda: f64) -> Location {
     let mut at = *start;
-    for (k, parameter) in [ParameterDirection::U, ParameterDirection::V].into_iter().enumerate() {
+    for k in 0..2 {
         if direction[k] != 0.0 {
-            at = body.walk(&at, parameter, lambda * direction[k]);
+            at = reference.walk(&at, PARAMETERS[k], lambda * direction[k]);
         }
     }
     at
 }
 
 impl SeamSolver {
-    /// All seam points in the state of `bodies`, in the order of `vertices`.
+    /// All seam points in the state of `bodies`, in the order of `vertices`. `reference`: the components as set up.
     ///
     /// # Errors
     /// [`DeformError::SeamLost`] naming the vertices whose line does not meet its target.
-    pub fn eval(&self, bodies: &[Body], monitor: &dyn Monitor) -> Result<Vec<SeamPoint>, DeformError> {
+    pub fn eval(
+        &self,
+        reference: &[Body],
+        bodies: &[Body],
+        monitor: &dyn Monitor,
+    ) -> Result<Vec<SeamPoint>, DeformError> {
         let junctions: Vec<(usize, Result<SeamPoint, f64>)> = self
             .vertices
             .par_iter()
@@ -142,7 +152,7 @@ impl SeamSolver {
             .par_iter()
             .map(|v| match &v.search {
                 SeamSearch::Line(_) if monitor.cancelled() => None,
-                SeamSearch::Line(line) => Some(self.line(v, line, bodies, &found)),
+                SeamSearch::Line(line) => Some(self.line(v, line, reference, bodies, &found)),
                 SeamSearch::Junction(_) => None,
             })
             .collect();
@@ -213,12 +223,14 @@ impl SeamSolver {
         &self,
         vertex: &SeamVertex,
         line: &SeamLine,
+        reference: &[Body],
         bodies: &[Body],
         junctions: &[Option<Result<SeamPoint, f64>>],
     ) -> Result<SeamPoint, f64> {
-        let body = &bodies[line.reference as usize];
-        let start = self.carried(line, body, junctions);
-        let at = |lambda: f64| along(body, &start, line.direction, lambda);
+        let undeformed = &reference[line.reference as usize];
+        let junction = |j: u32| junctions[j as usize].as_ref().and_then(|found| found.as_ref().ok());
+        let start = along(undeformed, &line.start, self.carried(line, undeformed, junction), 1.0);
+        let at = |lambda: f64| along(undeformed, &start, line.direction, lambda);
         let g = |lambda: f64, bound: f64| self.residual(line, &at(lambda), bodies, bound);
 
         let ([mut lower, mut upper], mut g_lower) = self.bracket(line, &g)?;
@@ -271,29 +283,33 @@ impl SeamSolver {
         if best.0 > tolerance {
             Err(best.0)
         } else {
-            Ok(self.found(vertex, line.reference, at(best.1), bodies))
+            Ok(self.found(vertex, line.reference, best.1, at(best.1), bodies))
         }
     }
 
-    /// The start of a line, shifted with the junctions at the ends of the seam.
-    fn carried(
+    /// How far the start of a line is shifted with the junctions at the ends of the seam.
+    pub(crate) fn carried<'p>(
         &self,
         line: &SeamLine,
         body: &Body,
-        junctions: &[Option<Result<SeamPoint, f64>>],
-    ) -> Location {
+        junction: impl Fn(u32) -> Option<&'p SeamPoint>,
+    ) -> [f64; 2] {
         let mut shift = [0.0; 2];
-        for &(junction, weight) in &line.carried {
-            let vertex = &self.vertices[junction as usize];
-            let Some(Ok(point)) = &junctions[junction as usize] else { continue };
-            let Some(k) = vertex.owners.iter().position(|&o| o == line.reference) else { continue };
-            let (before, after) = (vertex.locations[k], point.locations[k]);
-            if before.patch == after.patch {
-                shift[0] += weight * shorter_way(body, after.patch, 0, after.u - before.u);
-                shift[1] += weight * shorter_way(body, after.patch, 1, after.v - before.v);
-            }
+        for &(index, weight) in &line.carried {
+            let Some(point) = junction(index) else { continue };
+            let Some(k) = self.carrier(line, index, point) else { continue };
+            let (before, after) = (self.vertices[index as usize].locations[k], point.locations[k]);
+            shift[0] += weight * shorter_way(body, after.patch, 0, after.u - before.u);
+            shift[1] += weight * shorter_way(body, after.patch, 1, after.v - before.v);
         }
-        along(body, &line.start, shift, 1.0)
+        shift
+    }
+
+    /// Which owner of a junction carries a line: the line's own component, if the junction is still on the same patch.
+    pub(crate) fn carrier(&self, line: &SeamLine, junction: u32, point: &SeamPoint) -> Option<usize> {
+        let vertex = &self.vertices[junction as usize];
+        let k = vertex.owners.iter().position(|&o| o == line.reference)?;
+        (vertex.locations[k].patch == point.locations[k].patch).then_some(k)
     }
 
     /// A bracket in which `g` changes sign the way it does in the reference state: the stored one, or, when the seam has
@@ -359,12 +375,19 @@ impl SeamSolver {
         if residual > tolerance {
             Err(residual)
         } else {
-            Ok(self.found(vertex, junction.reference, at, bodies))
+            Ok(self.found(vertex, junction.reference, 0.0, at, bodies))
         }
     }
 
     /// Parameters on every owner of a point found on its reference component.
-    fn found(&self, vertex: &SeamVertex, reference: u32, at: Location, bodies: &[Body]) -> SeamPoint {
+    fn found(
+        &self,
+        vertex: &SeamVertex,
+        reference: u32,
+        lambda: f64,
+        at: Location,
+        bodies: &[Body],
+    ) -> SeamPoint {
         let position = bodies[reference as usize].position(&at);
         let mut residual: f64 = 0.0;
         let locations = vertex
@@ -379,7 +402,7 @@ impl SeamSolver {
                 foot.location
             })
             .collect();
-        SeamPoint { position, locations, residual }
+        SeamPoint { position, locations, residual, lambda }
     }
 }
 

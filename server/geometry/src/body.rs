@@ -83,6 +83,19 @@ struct Crossing {
     edge: u32,
     side: Side,
     to: Location,
+    /// How fast the parameter along the side runs behind it, in terms of that before it.
+    slope: f64,
+}
+
+/// The end of a line of one parameter and how it depends on its start and its length.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Walk {
+    /// Where it ends.
+    pub end: Location,
+    /// `d(u, v)` of the end by the `(u, v)` of the start.
+    pub by_start: [[f64; 2]; 2],
+    /// `d(u, v)` of the end by the length.
+    pub by_length: [f64; 2],
 }
 
 impl Body {
@@ -294,14 +307,20 @@ impl Body {
         let fraction = ((t - here.range.0) / (here.range.1 - here.range.0)).clamp(0.0, 1.0);
         let patch = &self.component.patches()[there.patch as usize];
         let mut other = there.range.0 + fraction * (there.range.1 - there.range.0);
+        let mut slope = (there.range.1 - there.range.0) / (here.range.1 - here.range.0);
         if !edge.affine {
             let range = (there.range.0.min(there.range.1), there.range.0.max(there.range.1));
             other = patch.closest_on_side(&self.control_points, there.side, range, &self.position(l)).0;
+            let (before, _) = side.along_and_inward(&self.point(l));
+            let (behind, _) =
+                there.side.along_and_inward(&self.point(&patch.on_side(there.patch, there.side, other)));
+            slope = behind.dot(&before) / behind.norm_squared();
         }
         Some(Crossing {
             edge: piece.edge,
             side: there.side,
             to: patch.on_side(there.patch, there.side, other),
+            slope,
         })
     }
 
@@ -309,13 +328,34 @@ impl Body {
     /// it ends at sharp and boundary edges and at poles. Behind an edge the parameter advances at the speed that keeps
     /// the line's speed in space.
     pub fn walk(&self, from: &Location, along: ParameterDirection, delta: f64) -> Location {
+        self.follow(from, along, delta, None)
+    }
+
+    /// [`walk`](Self::walk) with its derivative. Where the line ends at an edge, its end no longer depends on its length.
+    pub fn walk_derivative(&self, from: &Location, along: ParameterDirection, delta: f64) -> Walk {
+        let mut d = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+        let end = self.follow(from, along, delta, Some(&mut d));
+        Walk { end, by_start: d.map(|row| [row[0], row[1]]), by_length: d.map(|row| row[2]) }
+    }
+
+    /// The end of a line of one parameter. `derivative` goes along with it: `d(u, v)` by the start's `u`, `v` and by the
+    /// length.
+    fn follow(
+        &self,
+        from: &Location,
+        along: ParameterDirection,
+        delta: f64,
+        mut derivative: Option<&mut [[f64; 3]; 2]>,
+    ) -> Location {
         let mut l = *from;
         let mut along = along;
         let mut delta = delta;
+        let mut d_delta = [0.0, 0.0, 1.0];
         // A closed body could be walked around for ever only by an absurd `delta`.
         for _ in 0..1000 {
             let domain = self.component.patches()[l.patch as usize].surface.domain();
             let moves_u = along == ParameterDirection::U;
+            let moving = usize::from(!moves_u);
             let (value, (low, high)) = if moves_u { (l.u, domain[0]) } else { (l.v, domain[1]) };
             let target = value + delta;
             let reached = target.clamp(low, high);
@@ -325,6 +365,11 @@ impl Body {
                 l.v = reached
             }
             let rest = target - reached;
+            let mut d_rest = [0.0; 3];
+            if let Some(d) = &mut derivative {
+                d_rest = std::array::from_fn(|k| d[moving][k] + d_delta[k]);
+                d[moving] = if rest == 0.0 { d_rest } else { [0.0; 3] };
+            }
             if rest == 0.0 || !rest.is_finite() {
                 return l;
             }
@@ -344,8 +389,23 @@ impl Body {
             if !ratio.is_finite() {
                 return l;
             }
-            delta = rest.abs() * ratio * if crossing.side.is_min() { 1.0 } else { -1.0 };
-            along = if crossing.side.holds_u() { ParameterDirection::U } else { ParameterDirection::V };
+            let inwards = if crossing.side.is_min() { 1.0 } else { -1.0 };
+            let holds_u = crossing.side.holds_u();
+            if let Some(d) = &mut derivative {
+                let held = d[1 - moving];
+                let behind = held.map(|x| crossing.slope * x);
+                // How fast the speeds across the side change along it.
+                let growth_here = here.dot(&side.inward_along(&self.jet(&l))) / here.norm_squared();
+                let twist = crossing.side.inward_along(&self.jet(&crossing.to));
+                let growth_there = there.dot(&twist) / there.norm_squared();
+                d_delta = std::array::from_fn(|k| {
+                    let d_ratio = ratio * (growth_here * held[k] - growth_there * behind[k]);
+                    inwards * (rest.signum() * ratio * d_rest[k] + rest.abs() * d_ratio)
+                });
+                **d = if holds_u { [[0.0; 3], behind] } else { [behind, [0.0; 3]] };
+            }
+            delta = rest.abs() * ratio * inwards;
+            along = if holds_u { ParameterDirection::U } else { ParameterDirection::V };
             l = crossing.to;
         }
         l

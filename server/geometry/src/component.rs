@@ -4,8 +4,9 @@
 //! Inside, patches are clamped and smooth, cut at their C0 knots; the cut is a linear map of control points that is kept
 //! as a sparse matrix, so that deformed control points and derivatives pass through it.
 
+use crate::block::add_row;
 use crate::topology::{Piece, Topology};
-use crate::{Edge, Location, Side, Vector3, Vertex};
+use crate::{Block, Edge, Location, Side, Vector3, Vertex};
 use moldline_spline::{KnotVector, LinearRow, Surface, SurfacePoint};
 use std::ops::Range;
 
@@ -420,35 +421,36 @@ impl Component {
         self.user.apply(user)
     }
 
-    /// The derivative of [`internal_control_points`](Self::internal_control_points) along `direction`: as the map is
-    /// linear and the weights are fixed, its homogeneous weights are 0.
+    /// The derivative of [`internal_control_points`](Self::internal_control_points): tangents of the user's control
+    /// points (rows of vectors) to those of the internal ones, whose weights are fixed.
     ///
     /// # Panics
-    /// If `direction` does not have [`user_control_point_count`](Self::user_control_point_count) entries.
-    pub fn internal_jvp(&self, direction: &[[f64; 3]]) -> Vec<[f64; 4]> {
-        let mut out = self.internal_control_points(direction);
-        for c in &mut out {
-            c[3] = 0.0;
+    /// If `tangents` does not have [`user_control_point_count`](Self::user_control_point_count) rows.
+    pub fn internal_jvp(&self, tangents: &Block) -> Block {
+        let map = &self.user;
+        let mut out = Block::zeros(self.control_point_count, tangents.width());
+        for row in 0..self.control_point_count {
+            for k in map.offsets[row]..map.offsets[row + 1] {
+                let column = map.columns[k] as usize;
+                let factor = map.values[k] * map.weights[column];
+                add_row(out.row_mut(row), factor, tangents.row(column));
+            }
         }
         out
     }
 
-    /// The transpose of [`internal_jvp`](Self::internal_jvp): seeds of the internal homogeneous control points to
-    /// seeds of the user's Cartesian ones.
+    /// The transpose of [`internal_jvp`](Self::internal_jvp).
     ///
     /// # Panics
-    /// If `seeds` does not have [`control_point_count`](Self::control_point_count) entries.
-    pub fn internal_vjp(&self, seeds: &[[f64; 4]]) -> Vec<[f64; 3]> {
-        assert_eq!(seeds.len(), self.control_point_count, "one seed for each internal control point");
+    /// If `seeds` does not have [`control_point_count`](Self::control_point_count) rows.
+    pub fn internal_vjp(&self, seeds: &Block) -> Block {
         let map = &self.user;
-        let mut out = vec![[0.0; 3]; map.weights.len()];
-        for (row, seed) in seeds.iter().enumerate() {
+        let mut out = Block::zeros(map.weights.len(), seeds.width());
+        for row in 0..self.control_point_count {
             for k in map.offsets[row]..map.offsets[row + 1] {
                 let column = map.columns[k] as usize;
                 let factor = map.values[k] * map.weights[column];
-                for d in 0..3 {
-                    out[column][d] += factor * seed[d];
-                }
+                add_row(out.row_mut(column), factor, seeds.row(row));
             }
         }
         out

@@ -1,6 +1,19 @@
-//! The signed distance of a component as an operation (section 1 of the derivation notes).
+//! The signed distance of a component as an operation, with its first and second-order terms (eqs. 5 and 6; section 1 of
+//! the derivation notes).
+//!
+//! A foot point `y = S(mu)` in a face obeys `J^T (x - y) = 0`, so that `x - y = phi n`, and for changes `dx` of the point
+//! and `dS`, `dJ` of the surface at fixed parameters
+//!
+//! ```text
+//! dphi = n . (dx - dS)
+//! dmu  = (G - phi B)^-1 [J^T (dx - dS) + phi dJ^T n]
+//! dn   = -J G^-1 [dJ^T n + B dmu]
+//! ```
+//!
+//! with `G = J^T J` and `B_ab = S_ab . n`. On a sharp edge the same holds with the one parameter along it, at a corner the
+//! parameters are fixed; there `n = (x - y) / phi`.
 
-use crate::{Body, FootPoint, Location, Vector3};
+use crate::{Body, Feature, FootPoint, Location, Side, Vector3};
 
 /// The operation `x -> phi, n` for one body.
 #[derive(Debug, Clone, Copy)]
@@ -21,6 +34,48 @@ pub struct SignedDistancePoint {
     pub foot: FootPoint,
 }
 
+/// What moves with a foot point: the point itself, and the surface under it at fixed parameters. Serves for tangents and
+/// for seeds.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub struct FootChange {
+    /// `dx`, the point.
+    pub x: Vector3,
+    /// `dS`.
+    pub s: Vector3,
+    /// `dS_u`, `dS_v`.
+    pub s_uv: [Vector3; 2],
+}
+
+/// A signed distance and its foot point, ready for products.
+#[derive(Debug, Clone, Copy)]
+pub struct SignedDistanceDerivative {
+    /// `phi`, metres.
+    pub phi: f64,
+    /// `n = grad phi`.
+    pub normal: Vector3,
+    /// `S_u`, `S_v` at the foot point.
+    pub j: [Vector3; 2],
+    /// `x - y`.
+    offset: Vector3,
+    /// Rows of `P` in `dmu = P (dx - dS) + Q dJ^T (x - y)`.
+    p: [Vector3; 2],
+    q: [[f64; 2]; 2],
+    turn: Turn,
+}
+
+/// How the gradient turns.
+#[derive(Debug, Clone, Copy)]
+enum Turn {
+    /// `dn = -J G^-1 [dJ^T n + B dmu]`.
+    Face {
+        /// Columns of `J G^-1`.
+        lift: [Vector3; 2],
+        b: [[f64; 2]; 2],
+    },
+    /// `dn = (I - n n^T) (dx - dS - J dmu) / phi`: edges and corners.
+    Fan,
+}
+
 impl<'a> SignedDistance<'a> {
     /// The operation for a body.
     pub fn new(body: &'a Body) -> Self {
@@ -38,10 +93,147 @@ impl<'a> SignedDistance<'a> {
         self.at(x, foot.unwrap_or_else(|| self.body.closest_point(x)))
     }
 
-    fn at(&self, x: &Vector3, foot: FootPoint) -> SignedDistancePoint {
+    /// Value and gradient at `x` for a foot point already found.
+    pub fn at(&self, x: &Vector3, foot: FootPoint) -> SignedDistancePoint {
         let phi = foot.distance;
-        let off_face = foot.feature != crate::Feature::Face && phi.abs() > 1e-12 * self.body.size();
+        let off_face = foot.feature != Feature::Face && phi.abs() > 1e-12 * self.body.size();
         let normal = if off_face { (x - foot.position) / phi } else { foot.normal };
         SignedDistancePoint { phi, normal, foot }
     }
+
+    /// The derivative for a foot point of `x`. On an edge the foot point is that on the edge's curve.
+    pub fn derivative(&self, x: &Vector3, foot: &FootPoint) -> SignedDistanceDerivative {
+        let at = self.at(x, *foot);
+        let jet = self.body.jet(&foot.location);
+        let offset = x - foot.position;
+        let j = [jet.d_u, jet.d_v];
+        let dot = |v: &Vector3| [[jet.d_uu.dot(v), jet.d_uv.dot(v)], [jet.d_uv.dot(v), jet.d_vv.dot(v)]];
+        let g = [[j[0].dot(&j[0]), j[0].dot(&j[1])], [j[1].dot(&j[0]), j[1].dot(&j[1])]];
+        let mut p = [Vector3::zeros(); 2];
+        let mut q = [[0.0; 2]; 2];
+        let turn = match (foot.feature, self.parameter_along(foot)) {
+            (Feature::Face, _) => {
+                // phi B, with x - y = phi n.
+                let bent = dot(&offset);
+                let h: [[f64; 2]; 2] = std::array::from_fn(|a| std::array::from_fn(|b| g[a][b] - bent[a][b]));
+                q = inverse(&h);
+                p = std::array::from_fn(|a| j[0] * q[a][0] + j[1] * q[a][1]);
+                let g = inverse(&g);
+                Turn::Face {
+                    lift: std::array::from_fn(|a| j[0] * g[0][a] + j[1] * g[1][a]),
+                    b: dot(&at.normal),
+                }
+            }
+            (_, Some(t)) => {
+                q[t][t] = 1.0 / (g[t][t] - dot(&offset)[t][t]);
+                p[t] = j[t] * q[t][t];
+                Turn::Fan
+            }
+            (_, None) => Turn::Fan,
+        };
+        SignedDistanceDerivative { phi: at.phi, normal: at.normal, j, offset, p, q, turn }
+    }
+
+    /// The parameter (0: u, 1: v) that runs along the edge which a foot point is on; `None` at corners and inside faces.
+    fn parameter_along(&self, foot: &FootPoint) -> Option<usize> {
+        let Feature::Edge { edge } = foot.feature else { return None };
+        let l = &foot.location;
+        let [u, v] = self.body.component().patches()[l.patch as usize].surface.domain();
+        let on = |side: Side| match side {
+            Side::UMin => l.u <= u.0,
+            Side::UMax => l.u >= u.1,
+            Side::VMin => l.v <= v.0,
+            Side::VMax => l.v >= v.1,
+        };
+        let sides = &self.body.component().edges()[edge as usize].sides;
+        let side = sides.iter().find(|s| s.patch == l.patch && on(s.side)).map(|s| s.side);
+        // A vertex that a sharp edge passes through may have been reached from a patch that only touches it.
+        side.or_else(|| Side::ALL.into_iter().find(|s| on(*s))).map(|s| usize::from(s.holds_u()))
+    }
+}
+
+impl SignedDistanceDerivative {
+    /// `dmu`: how the parameters of the foot point change.
+    pub fn parameters_jvp(&self, change: &FootChange) -> [f64; 2] {
+        let step = change.x - change.s;
+        let tilt = change.s_uv.map(|s| s.dot(&self.offset));
+        std::array::from_fn(|a| self.p[a].dot(&step) + self.q[a][0] * tilt[0] + self.q[a][1] * tilt[1])
+    }
+
+    /// The transpose of [`parameters_jvp`](Self::parameters_jvp).
+    pub fn parameters_vjp(&self, seed: [f64; 2]) -> FootChange {
+        let x = self.p[0] * seed[0] + self.p[1] * seed[1];
+        // Q is symmetric.
+        let tilt: [f64; 2] = std::array::from_fn(|a| self.q[a][0] * seed[0] + self.q[a][1] * seed[1]);
+        FootChange { x, s: -x, s_uv: tilt.map(|t| self.offset * t) }
+    }
+
+    /// `(dphi, dn)`.
+    pub fn jvp(&self, change: &FootChange) -> (f64, Vector3) {
+        let step = change.x - change.s;
+        let mu = self.parameters_jvp(change);
+        let turned = match &self.turn {
+            Turn::Face { lift, b } => {
+                let rhs: [f64; 2] = std::array::from_fn(|a| {
+                    self.normal.dot(&change.s_uv[a]) + b[a][0] * mu[0] + b[a][1] * mu[1]
+                });
+                -(lift[0] * rhs[0] + lift[1] * rhs[1])
+            }
+            Turn::Fan => {
+                let moved = step - self.j[0] * mu[0] - self.j[1] * mu[1];
+                (moved - self.normal * self.normal.dot(&moved)) / self.phi
+            }
+        };
+        (self.normal.dot(&step), turned)
+    }
+
+    /// The transpose of [`jvp`](Self::jvp) for seeds of `phi` and `n`.
+    pub fn vjp(&self, phi: f64, n: &Vector3) -> FootChange {
+        let mut out = FootChange { x: self.normal * phi, s: -self.normal * phi, ..FootChange::default() };
+        let mu = match &self.turn {
+            Turn::Face { lift, b } => {
+                let t = lift.map(|l| -l.dot(n));
+                for a in 0..2 {
+                    out.s_uv[a] += self.normal * t[a];
+                }
+                std::array::from_fn(|a| b[a][0] * t[0] + b[a][1] * t[1])
+            }
+            Turn::Fan => {
+                let across = (n - self.normal * self.normal.dot(n)) / self.phi;
+                out.x += across;
+                out.s -= across;
+                self.j.map(|j| -j.dot(&across))
+            }
+        };
+        let by_parameters = self.parameters_vjp(mu);
+        out.x += by_parameters.x;
+        out.s += by_parameters.s;
+        for a in 0..2 {
+            out.s_uv[a] += by_parameters.s_uv[a];
+        }
+        out
+    }
+
+    /// Change of the foot point `y = S(mu)` itself.
+    pub fn foot_jvp(&self, change: &FootChange) -> Vector3 {
+        let mu = self.parameters_jvp(change);
+        change.s + self.j[0] * mu[0] + self.j[1] * mu[1]
+    }
+
+    /// The transpose of [`foot_jvp`](Self::foot_jvp).
+    pub fn foot_vjp(&self, seed: &Vector3) -> FootChange {
+        let mut out = self.parameters_vjp(self.j.map(|j| j.dot(seed)));
+        out.s += seed;
+        out
+    }
+
+    /// `P`: how the parameters follow the point, rows for `u` and `v`.
+    pub fn parameters_by_point(&self) -> [Vector3; 2] {
+        self.p
+    }
+}
+
+fn inverse(m: &[[f64; 2]; 2]) -> [[f64; 2]; 2] {
+    let determinant = m[0][0] * m[1][1] - m[0][1] * m[1][0];
+    [[m[1][1] / determinant, -m[0][1] / determinant], [-m[1][0] / determinant, m[0][0] / determinant]]
 }

@@ -9,7 +9,9 @@
 //!
 //! Absent on purpose: meshes, files, and the parameterisation that moves control points.
 
+mod basis;
 mod bezier;
+pub mod block;
 mod body;
 mod bounds;
 mod component;
@@ -20,10 +22,12 @@ mod primitive;
 mod topology;
 mod union;
 
-pub use body::{Body, Feature, FootPoint, Location, ParameterDirection};
+pub use basis::PointBasis;
+pub use block::Block;
+pub use body::{Body, Feature, FootPoint, Location, ParameterDirection, Walk};
 pub use bounds::Aabb;
 pub use component::{Component, ComponentError, ComponentOptions, Patch, PatchInput};
-pub use distance::{SignedDistance, SignedDistancePoint};
+pub use distance::{FootChange, SignedDistance, SignedDistanceDerivative, SignedDistancePoint};
 pub use moldline_spline::{SurfaceJet, SurfacePoint, Vector3};
 pub use primitive::{Primitive, PrimitiveError};
 pub use topology::{Edge, EdgeSide, Incidence, Side, Vertex, VertexKind};

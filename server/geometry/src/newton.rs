@@ -91,7 +91,7 @@ impl<'a> Iterate<'a> {
             let squared = r.norm_squared();
             let decrease = self.squared - squared;
             // A short Newton step is right even if its decrease is lost in rounding.
-            let rounding = s.newton && s.length <= 1e-6 * self.size && -decrease <= 1e-14 * self.squared;
+            let rounding = s.newton && s.length <= 1e-6 * self.size && -decrease <= noise(&self.r, self.x);
             let accepted = decrease > 1e-3 * s.decrease || rounding;
             if !s.newton && decrease > 0.75 * s.decrease {
                 self.trust *= 2.0;
@@ -166,6 +166,12 @@ impl<'a> Iterate<'a> {
     }
 }
 
+/// A bound on what rounding does to `|S - x|^2`: the difference of coordinates, and its square.
+fn noise(r: &Vector3, x: &Vector3) -> f64 {
+    let r = r.norm();
+    1e-14 * r * (r + x.norm())
+}
+
 /// Descends from `(u, v)` to the parameters of a minimum within a rectangle. If `f` is known to be convex there, it gives
 /// up (`None`) as soon as the tangent plane of `f` shows that nothing in the rectangle is closer than the square root of
 /// `convex_bound`.
@@ -230,11 +236,11 @@ pub(crate) fn on_side(
         }
         // The last step of a quadratic iteration is taken whatever rounding does to the distance.
         let last = newton && relative <= 1e-9;
-        let tolerance = if newton && relative <= 1e-6 { 1.0 + 1e-14 } else { 1.0 };
+        let allowance = if newton && relative <= 1e-6 { noise(&r, x) } else { 0.0 };
         let mut scale = 1.0;
         let accepted = loop {
             let next = at(t + scale * dt);
-            if last || next.0.norm_squared() < tolerance * r.norm_squared() {
+            if last || next.0.norm_squared() < r.norm_squared() + allowance {
                 t += scale * dt;
                 (r, d, dd) = next;
                 break true;

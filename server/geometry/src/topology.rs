@@ -6,7 +6,7 @@
 
 use crate::component::{ComponentError, ComponentOptions, Patch};
 use crate::{Location, Vector3};
-use moldline_spline::SurfacePoint;
+use moldline_spline::{SurfaceJet, SurfacePoint};
 
 /// A side of a patch's parameter rectangle.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -47,6 +47,11 @@ impl Side {
     pub(crate) fn along_and_inward(self, point: &SurfacePoint) -> (Vector3, Vector3) {
         let (along, across) = if self.holds_u() { (point.d_v, point.d_u) } else { (point.d_u, point.d_v) };
         (along, if self.is_min() { across } else { -across })
+    }
+
+    /// How the derivative across the side, pointing into the patch, changes along it.
+    pub(crate) fn inward_along(self, jet: &SurfaceJet) -> Vector3 {
+        if self.is_min() { jet.d_uv } else { -jet.d_uv }
     }
 }
 

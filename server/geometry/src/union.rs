@@ -66,4 +66,34 @@ impl SmoothUnion {
         }
         SmoothUnionPoint { phi: minimum - sum.ln() / self.rho, gradient }
     }
+
+    /// `(dPhi, dg)` for changes `(dphi_c, dn_c)` of the components' distances and gradients, at a point with the given
+    /// `weights` and `gradients`: `dPhi = sum_c w_c dphi_c`, `dg = sum_c (w_c dn_c - rho w_c (dphi_c - dPhi) n_c)`.
+    pub fn jvp(
+        &self,
+        weights: &[f64],
+        gradients: impl Iterator<Item = Vector3>,
+        changes: &[(f64, Vector3)],
+    ) -> (f64, Vector3) {
+        let d_phi: f64 = weights.iter().zip(changes).map(|(w, c)| w * c.0).sum();
+        let mut d_gradient = Vector3::zeros();
+        for ((w, n), (phi, d_n)) in weights.iter().zip(gradients).zip(changes) {
+            d_gradient += d_n * *w - n * (self.rho * w * (phi - d_phi));
+        }
+        (d_phi, d_gradient)
+    }
+
+    /// The transpose of [`jvp`](Self::jvp): seeds of the component with the given weight and gradient, for seeds of
+    /// `Phi` and `g`. `total` is the gradient `g` of the union.
+    pub fn vjp(
+        &self,
+        weight: f64,
+        gradient: &Vector3,
+        total: &Vector3,
+        phi: f64,
+        g: &Vector3,
+    ) -> (f64, Vector3) {
+        // sum_k w_k n_k . g = total . g
+        (weight * (phi + self.rho * (total - gradient).dot(g)), g * weight)
+    }
 }

@@ -204,22 +204,15 @@ fn user_control_points_map_linearly_and_exactly() {
     }
     // The transpose.
     let mut random = Random(5);
-    let direction: Vec<[f64; 3]> = user.iter().map(|_| random.vector(1.0).into()).collect();
-    let seeds: Vec<[f64; 4]> = points
-        .iter()
-        .map(|_| {
-            let v = random.vector(1.0);
-            [v.x, v.y, v.z, 0.0]
-        })
-        .collect();
-    let dot4 = |a: &[[f64; 4]], b: &[[f64; 4]]| -> f64 {
-        a.iter().flatten().zip(b.iter().flatten()).map(|(a, b)| a * b).sum()
+    let mut block = |count: usize| {
+        let mut block = Block::zeros(count, 6);
+        block.data_mut().iter_mut().for_each(|x| *x = random.between(-1.0, 1.0));
+        block
     };
-    let dot3 = |a: &[[f64; 3]], b: &[[f64; 3]]| -> f64 {
-        a.iter().flatten().zip(b.iter().flatten()).map(|(a, b)| a * b).sum()
-    };
-    let forward = dot4(&seeds, &component.internal_jvp(&direction));
-    let backward = dot3(&component.internal_vjp(&seeds), &direction);
+    let (direction, seeds) = (block(user.len()), block(points.len()));
+    let dot = |a: &Block, b: &Block| -> f64 { a.data().iter().zip(b.data()).map(|(a, b)| a * b).sum() };
+    let forward = dot(&seeds, &component.internal_jvp(&direction));
+    let backward = dot(&component.internal_vjp(&seeds), &direction);
     assert!((forward - backward).abs() < 1e-12 * forward.abs());
 }
 

@@ -153,12 +153,12 @@ impl<'a> Compiler<'a> {
         for (i, operation) in operations.iter().enumerate() {
             let members = self.members(i, operation)?;
             let pivot = match operation {
-                OperationDeclaration::Rotation(r) => Some(match r.pivot {
-                    Pivot::Point(p) => finite(format!("operations[{i}].pivot"), p)?,
-                    Pivot::RootQuarterChord(span) => self.root_quarter_chord(i, members[0], span, true)?,
-                }),
+                OperationDeclaration::Rotation(r) => Some(self.pivot_point(i, members[0], r.pivot, true)?),
                 OperationDeclaration::Planform(p) => {
-                    Some(self.root_quarter_chord(i, members[0], p.span, p.symmetric)?)
+                    let mut pivot = self.pivot_point(i, members[0], p.pivot, p.symmetric)?;
+                    let root = self.root_quarter_chord(i, members[0], p.span, p.symmetric)?;
+                    pivot[p.span.index()] = root[p.span.index()];
+                    Some(pivot)
                 }
                 _ => None,
             };
@@ -201,6 +201,20 @@ impl<'a> Compiler<'a> {
         self.points.push(point);
         self.carried[component].push(self.points.len() - 1);
         self.points.len() - 1
+    }
+
+    /// A pivot in reference coordinates, m.
+    fn pivot_point(
+        &self,
+        operation: usize,
+        component: usize,
+        pivot: Pivot,
+        symmetric: bool,
+    ) -> Result<Vector3, ParameterisationError> {
+        match pivot {
+            Pivot::Point(point) => finite(format!("operations[{operation}].pivot"), point),
+            Pivot::RootQuarterChord(span) => self.root_quarter_chord(operation, component, span, symmetric),
+        }
     }
 
     fn root_quarter_chord(
@@ -394,7 +408,7 @@ impl<'a> Compiler<'a> {
             })
             .transpose()?;
         let pivot = self.pivot(i);
-        let root = self.points[pivot];
+        let root = self.root_quarter_chord(i, members[0], declaration.span, declaration.symmetric)?;
         let kept = match declaration.sweep {
             SweepRule::Scaled => None,
             SweepRule::Kept => {

@@ -141,7 +141,7 @@ pub enum SectionKind {
 }
 
 /// Area S and aspect ratio A = b^2/S of the planform: scales the span by sqrt(S A/(S0 A0)), chord and thickness by
-/// sqrt(S A0/(S0 A)), about the root quarter chord.
+/// sqrt(S A0/(S0 A)), about a point of the root.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlanformDeclaration {
     /// Components that are scaled; the planform is that of the first.
@@ -150,6 +150,8 @@ pub struct PlanformDeclaration {
     pub span: Axis,
     /// Whether the root is the plane 0 of the span axis (mirrored or half model) or the lower end of the span.
     pub symmetric: bool,
+    /// The point that the scaling leaves where it is, its coordinate along the span apart: that of the root.
+    pub pivot: Pivot,
     /// Variable of the area, if it varies.
     pub area: Option<String>,
     /// Variable of the aspect ratio, if it varies.
@@ -168,7 +170,7 @@ pub enum SweepRule {
     Kept,
 }
 
-/// A point to turn about. It belongs to the first component named and is moved by the operations declared before.
+/// A point to turn or scale about. It belongs to the first component named and is moved by the operations declared before.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Pivot {
     /// Given in reference coordinates, m.

@@ -1,8 +1,9 @@
 //! Planform area S and aspect ratio A: with r = S/S0 and q = A/A0 the span is scaled by f = sqrt(r q), chord and
 //! thickness by g = sqrt(r/q), so that span * chord goes with S and span / chord with A.
 //!
-//! About the root quarter chord P, with the point's section axis at P + o (o = 0 for [`SweepRule::Scaled`], so that
-//! sweep and dihedral go with the chord; the quarter chord of its section for [`SweepRule::Kept`]):
+//! About the pivot P (the root quarter chord unless given), with the point's section scaled about P + o (o = 0 for
+//! [`SweepRule::Scaled`], so that sweep and dihedral go with the chord; the quarter chord of its section less that of the
+//! root for [`SweepRule::Kept`]):
 //! along the span x' = x + (f - 1)(x - P); along chord and thickness x' = x + (g - 1)(x - P - o) + (f - 1) o.
 //!
 //! [`SweepRule::Scaled`]: crate::SweepRule::Scaled

@@ -390,11 +390,12 @@ fn operation(document: OperationDocument) -> OperationDeclaration {
                 sections: sections.into_iter().map(section).collect(),
             })
         }
-        OperationDocument::Planform { components, span, symmetric, area, aspect_ratio, sweep } => {
+        OperationDocument::Planform { components, span, symmetric, pivot, area, aspect_ratio, sweep } => {
             OperationDeclaration::Planform(PlanformDeclaration {
                 components,
                 span: axis(span),
                 symmetric,
+                pivot: pivot.map_or(Pivot::RootQuarterChord(axis(span)), Pivot::Point),
                 area,
                 aspect_ratio,
                 sweep: match sweep {

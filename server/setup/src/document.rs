@@ -299,7 +299,7 @@ pub enum OperationDocument {
         sections: Vec<SectionDocument>,
     },
     /// Planform area and aspect ratio (span^2/area): span times sqrt(S A/(S0 A0)), chord and thickness times
-    /// sqrt(S A0/(S0 A)), about the root quarter chord.
+    /// sqrt(S A0/(S0 A)), about a point of the root.
     Planform {
         /// Components scaled; the planform is the first one's.
         components: Vec<String>,
@@ -309,6 +309,10 @@ pub enum OperationDocument {
         /// Whether the root is the plane 0 of the span axis, or the lower end of the span.
         #[serde(default = "yes")]
         symmetric: bool,
+        /// The point that stays, in reference coordinates, m (its coordinate along the span is that of the root); the
+        /// operations before this one carry it along. Default: the first component's root quarter chord.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        pivot: Option<[f64; 3]>,
         /// Scalar variable, an area.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         area: Option<String>,

@@ -63,10 +63,15 @@ fn radial(stations: [f64; 4], centre: CentreLine, variable: &str) -> OperationDe
 }
 
 fn planform(sweep: SweepRule) -> OperationDeclaration {
+    planform_about(Pivot::RootQuarterChord(Axis::Y), sweep)
+}
+
+fn planform_about(pivot: Pivot, sweep: SweepRule) -> OperationDeclaration {
     OperationDeclaration::Planform(PlanformDeclaration {
         components: vec!["wing".into()],
         span: Axis::Y,
         symmetric: true,
+        pivot,
         area: Some("S".into()),
         aspect_ratio: Some("A".into()),
         sweep,

@@ -188,6 +188,26 @@ fn the_planform_gets_the_area_and_aspect_ratio_asked_for() {
 }
 
 #[test]
+fn a_planform_is_scaled_about_the_point_given_and_stays_on_the_plane_of_symmetry() {
+    let variables = [variable("S", &[], Unit::SquareMetre), variable("A", &[], Unit::One)];
+    let (px, pz) = (2.5, -0.75);
+    for sweep in [SweepRule::Scaled, SweepRule::Kept] {
+        let operation = planform_about(Pivot::Point([px, 7.0, pz]), sweep);
+        let p = build(&[tapered_wing()], &variables, &[operation]);
+        let [area, ratio] = p.baseline()[..] else { panic!("two variables") };
+        let points = p.control_points(&[4.0 * area, 0.25 * ratio]).expect("acceptable");
+        // The span stays, chord and thickness become four times as large; with `Kept`, quarter chords keep their
+        // distances along chord and thickness.
+        let expected = map(&reference(&tapered_wing()), |[x, y, z]| {
+            let (_, [qx, qz]) = chord_and_axis(y);
+            let [ox, oz] = if sweep == SweepRule::Kept { [qx - 2.0, qz] } else { [0.0; 2] };
+            [px + ox + 4.0 * (x - px - ox), y, pz + oz + 4.0 * (z - pz - oz)]
+        });
+        assert!(distance(&points[0], &expected) < 1e-5, "{sweep:?} {}", distance(&points[0], &expected));
+    }
+}
+
+#[test]
 fn a_declared_baseline_replaces_the_measured_area() {
     let variables = [
         VariableDeclaration { baseline: Some(740.0), ..variable("S", &[], Unit::SquareFoot) },

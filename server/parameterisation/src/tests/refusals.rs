@@ -188,6 +188,7 @@ fn a_planform_across_the_wrong_axis() {
         components: vec!["wing".into()],
         span: Axis::Z,
         symmetric: false,
+        pivot: Pivot::RootQuarterChord(Axis::Z),
         area: Some("S".into()),
         aspect_ratio: None,
         sweep: SweepRule::Scaled,
