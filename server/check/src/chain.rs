@@ -152,7 +152,7 @@ impl<'a> Chain<'a> {
                         .map(|points| points.iter().map(|p| p.map(|x| x.re)).collect())
                         .collect();
                     let bodies = self.setup.bodies(&values)?;
-                    let seams = self.setup.seams().eval(&bodies, monitor)?;
+                    let seams = self.setup.seams().eval(self.setup.reference(), &bodies, monitor)?;
                     (bodies, seams)
                 }
             };

@@ -108,7 +108,9 @@ pub fn data(field: &Field, motions: &[Vector], follow: impl Fn(u32) -> Vector) -
         })
         .collect();
     for &i in field.images() {
-        data.push(data[i as usize].component_mul(&crate::dual::constants(&field.mirror_signs())));
+        let image = data[i as usize];
+        let sign = |axis: usize| field.mirror_signs().get(axis).copied().unwrap_or(0.0);
+        data.push(Vector::from_fn(|axis, _| image[axis] * sign(axis)));
     }
     data
 }

@@ -11,13 +11,20 @@
 mod body;
 mod chain;
 mod chart;
+mod check;
 mod differences;
 mod dual;
+mod engine;
 mod field;
+mod random;
 mod seam;
 mod spline;
 
 pub use chain::{Chain, Evaluation, Stages};
+pub use check::{
+    CheckOptions, DesignCheck, Difference, DotProduct, Function, Linear, Outputs, Phase, Step, VariableCheck, Watch,
+    check_design, designs, largest, range,
+};
 pub use differences::{Derivative, central_difference, norm, relative_error};
 
 /// Why a check cannot be carried out.
@@ -39,5 +46,16 @@ pub enum CheckError {
     Vertex {
         /// Index into the mesh.
         vertex: u32,
+    },
+    /// No far design has a mesh.
+    #[error(
+        "none of {attempts} random designs far from the baseline has a mesh; the last one: {last}. Narrow the bounds, or \
+         give a design"
+    )]
+    NoDesign {
+        /// How many were tried.
+        attempts: usize,
+        /// Why the last one has none.
+        last: Box<moldline_deform::DeformError>,
     },
 }
