@@ -12,7 +12,7 @@ use std::{
 };
 
 use moldline_deform::{Kernel, OuterMoldLine, Setup, SetupInput, Silent, rbf::RadialBasis};
-use moldline_geometry::{Body, Location};
+use moldline_geometry::{Block, Body, Location};
 use moldline_setup::{Files, Limits, read_folder, read_setup};
 use moldline_spline::Vector3;
 use serde_json::{Value, json};
@@ -223,11 +223,13 @@ fn interpolation(input: &SetupInput) -> Result<(), Failure> {
     let start = Instant::now();
     let basis = RadialBasis::new(Kernel::Cubic, &centres, 0.0)?;
     tell("cubic RBF, 1,500 centres, factorise", 1e3 * start.elapsed().as_secs_f64(), "ms", "measured");
-    let mut out = vec![Vector3::zeros(); POINTS];
+    let mut block = Block::zeros(CENTRES, 3);
+    data.iter().enumerate().for_each(|(i, d)| block.row_mut(i).copy_from_slice(d.as_slice()));
+    let mut out = Block::zeros(POINTS, 3);
     for threads in [1, 2] {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
         let ((), both) = median_of(9, || {
-            pool.install(|| basis.evaluate(&basis.fit(&data), &points, &mut out));
+            out = pool.install(|| basis.evaluate(&basis.fit(&block), &points));
             Ok(())
         })?;
         let name =
@@ -238,7 +240,9 @@ fn interpolation(input: &SetupInput) -> Result<(), Failure> {
     if let Some(folder) = env::var_os("MOLDLINE_BENCH_DATA") {
         let folder = PathBuf::from(folder);
         fs::create_dir_all(&folder)?;
-        for (name, values) in [("centres", &centres), ("points", &points), ("data", &data), ("values", &out)]
+        let values: Vec<Vector3> = (0..POINTS).map(|i| out.vector(i, 0)).collect();
+        for (name, values) in
+            [("centres", &centres), ("points", &points), ("data", &data), ("values", &values)]
         {
             let bytes: Vec<u8> = values.iter().flat_map(|x| x.iter()).flat_map(|x| x.to_le_bytes()).collect();
             fs::write(folder.join(format!("{name}.f64")), bytes)?;

@@ -211,6 +211,21 @@ pub enum DeformError {
         /// The first ones, with their last distance.
         worst: Vec<VertexDistance>,
     },
+    /// A seed of the adjoint does not fit the set-up.
+    #[error("seeds[{index}] has {found} vertices, the mesh has {expected}")]
+    SeedSize {
+        /// Which seed.
+        index: usize,
+        /// Its number of vertices.
+        found: usize,
+        /// That of the mesh.
+        expected: usize,
+    },
+    /// Derivatives by design variables were asked for where there is no design.
+    #[error(
+        "the control points were given directly, so that there are no design variables to differentiate by: ask for the          derivative by control points"
+    )]
+    NoDesign,
     /// The caller lost interest.
     #[error("cancelled")]
     Cancelled,

@@ -18,7 +18,7 @@ pub struct Mirror<'a> {
     /// Distance within which a vertex lies in it, m.
     pub tolerance: f64,
     /// What it does to a datum, component by component.
-    pub signs: Vector3,
+    pub signs: Vec<f64>,
 }
 
 /// A field over one region of the mesh.
@@ -77,8 +77,8 @@ impl Field {
     }
 
     /// What the mirror does to a datum, component by component.
-    pub fn mirror_signs(&self) -> Vector3 {
-        self.mirror_signs
+    pub fn mirror_signs(&self) -> &[f64] {
+        &self.mirror_signs
     }
 
     /// Bytes held by the factorisation.

@@ -2,8 +2,9 @@
 //!
 //! design -> control points -> seam points -> training data -> field -> vertices on their components -> outer mold line.
 
-use moldline_geometry::{Body, Feature, FootPoint, Location};
+use moldline_geometry::{Block, Body, Feature, FootPoint, Location, block::add_vector};
 use moldline_mesh::{CellQuality, Laplacian, QualityReport};
+use moldline_parameterisation::ControlPoints;
 use moldline_spline::Vector3;
 use rayon::prelude::*;
 
@@ -12,7 +13,7 @@ use crate::{
     chart::Chart,
     error::{LISTED, VertexDistance},
     ownership::{Attachment, Freedom},
-    projection::{Projected, SmoothProjection},
+    projection::{Projected, SmoothProjection, Step},
     seam::SeamPoint,
     setup::RegionField,
 };
@@ -37,10 +38,25 @@ pub struct Deformation {
 }
 
 /// A vertex on its component.
-#[derive(Clone, Copy)]
-struct Placed {
-    position: Vector3,
-    location: Location,
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Placed {
+    pub position: Vector3,
+    pub location: Location,
+    /// The point whose foot point it is, where it was projected.
+    pub aim: Vector3,
+}
+
+/// What a deformation found on its way: its linearisation starts from here.
+#[derive(Debug)]
+pub(crate) struct State {
+    pub bodies: Vec<Body>,
+    pub seams: Vec<SeamPoint>,
+    /// Field values of all vertices.
+    pub displacements: Vec<Vector3>,
+    /// All vertices on their components, after the field and after each round of smoothing.
+    pub placed: Vec<Vec<Placed>>,
+    /// The steps of the smooth projection, for vertices that took any.
+    pub steps: Vec<(u32, Vec<Step>)>,
 }
 
 impl Setup {
@@ -49,10 +65,7 @@ impl Setup {
     /// # Errors
     /// [`DeformError`]: the design is refused, a seam is lost, or the projection does not converge.
     pub fn deform(&self, design: &[f64], monitor: &dyn Monitor) -> Result<Deformation, DeformError> {
-        monitor.progress(Stage::Geometry, 0.0);
-        self.parameterisation.validate(design)?;
-        let control_points = self.parameterisation.control_points(design)?;
-        self.deform_control_points(&control_points, monitor)
+        self.deform_control_points(&self.design_control_points(design, monitor)?, monitor)
     }
 
     /// The mesh of components whose control points come from elsewhere: per component, the user's, Cartesian, m.
@@ -64,21 +77,42 @@ impl Setup {
         control_points: &[Vec<[f64; 3]>],
         monitor: &dyn Monitor,
     ) -> Result<Deformation, DeformError> {
+        Ok(self.run(control_points, monitor)?.1)
+    }
+
+    pub(crate) fn design_control_points(
+        &self,
+        design: &[f64],
+        monitor: &dyn Monitor,
+    ) -> Result<ControlPoints, DeformError> {
+        monitor.progress(Stage::Geometry, 0.0);
+        self.parameterisation.validate(design)?;
+        Ok(self.parameterisation.control_points(design)?)
+    }
+
+    /// Algorithm 1 after its first step.
+    pub(crate) fn run(
+        &self,
+        control_points: &[Vec<[f64; 3]>],
+        monitor: &dyn Monitor,
+    ) -> Result<(State, Deformation), DeformError> {
         let bodies = self.bodies(control_points)?;
         let go_on = |stage| {
             monitor.progress(stage, 0.0);
             if monitor.cancelled() { Err(DeformError::Cancelled) } else { Ok(()) }
         };
         go_on(Stage::SeamSearch)?;
-        let seams = self.seams.eval(&bodies, monitor)?;
+        let seams = self.seams.eval(&self.reference, &bodies, monitor)?;
         go_on(Stage::Field)?;
         let displacements = self.displacements(&seams, &bodies)?;
         go_on(Stage::Projection)?;
-        let mut placed = self.place(&displacements, &seams, &bodies)?;
-        self.smooth(&mut placed, &bodies)?;
-        let locations: Vec<Location> = placed.iter().map(|p| p.location).collect();
-        let (positions, residual, steps) = self.onto_outer_mold_line(placed, &seams, &bodies, monitor)?;
+        let placed = self.place(&displacements, &seams, &bodies)?;
+        let placed = self.smooth(placed, &bodies)?;
+        // There is the one before the first round at least.
+        let last = &placed[placed.len() - 1];
+        let (positions, residual, steps) = self.onto_outer_mold_line(last, &seams, &bodies, monitor)?;
         go_on(Stage::Quality)?;
+        let locations: Vec<Location> = last.iter().map(|p| p.location).collect();
         let vertices: Vec<[f64; 3]> = positions.into_iter().map(Into::into).collect();
         let owners = &self.ownership.cell_owner;
         let normals = self.inspection.normals(&self.mesh.cells, owners, &vertices, &locations, &bodies);
@@ -87,15 +121,16 @@ impl Setup {
         let quality =
             self.inspection.report(&cell_quality, owners).unwrap_or_else(|| self.report().quality.clone());
         monitor.progress(Stage::Quality, 1.0);
-        Ok(Deformation {
+        let deformation = Deformation {
             vertices,
             locations,
             quality,
             cell_quality,
             seam_residual: seams.iter().map(|p| p.residual).fold(0.0, f64::max),
             projection_residual: residual,
-            projection_steps: steps,
-        })
+            projection_steps: steps.iter().map(|(_, steps)| steps.len()).max().unwrap_or(0),
+        };
+        Ok((State { bodies, seams, displacements, placed, steps }, deformation))
     }
 
     /// Steps B to E: field values at all vertices. `Surface`: departures in the reference state; `Departure`: in the
@@ -104,56 +139,54 @@ impl Setup {
         let mut displacements = vec![Vector3::zeros(); self.positions.len()];
         for region in &self.fields {
             let motion = self.seam_motion(region, seams, bodies)?;
-            let follow = |v: u32| {
-                let own = &self.ownership.of(v)[0];
-                bodies[own.component as usize].position(&own.location) - self.positions[v as usize]
+            let follow = |v: u32, factor: f64, row: &mut [f64]| {
+                if region.component.is_none() {
+                    let own = &self.ownership.of(v)[0];
+                    let now = bodies[own.component as usize].position(&own.location);
+                    add_vector(row, 0, &((now - self.positions[v as usize]) * factor));
+                }
             };
-            let mut values = vec![Vector3::zeros(); region.vertices.len()];
-            match region.component {
-                None => region.field.eval(&motion, follow, &region.points, &mut values),
-                Some(_) => region.field.eval(&motion, |_| Vector3::zeros(), &region.points, &mut values),
-            }
-            for (&v, value) in region.vertices.iter().zip(values) {
-                displacements[v as usize] = value;
+            let values = region.field.eval(&motion, follow, &region.points);
+            for (i, &v) in region.vertices.iter().enumerate() {
+                displacements[v as usize].as_mut_slice()[..region.columns()].copy_from_slice(values.row(i));
             }
         }
         Ok(displacements)
     }
 
-    /// What each seam vertex does in the terms of one field; zero for those outside its region.
+    /// What each seam vertex does in the terms of one field, a row each; zero for those outside its region.
     fn seam_motion(
         &self,
         region: &RegionField,
         seams: &[SeamPoint],
         bodies: &[Body],
-    ) -> Result<Vec<Vector3>, DeformError> {
+    ) -> Result<Block, DeformError> {
         let tolerance = 1e-12 * self.length;
         let mut lost = Vec::new();
-        let mut motion = Vec::with_capacity(seams.len());
-        for (seam, point) in self.seams.vertices.iter().zip(seams) {
+        let mut motion = Block::zeros(seams.len(), region.columns());
+        for (i, (seam, point)) in self.seams.vertices.iter().zip(seams).enumerate() {
             let start = self.positions[seam.vertex as usize];
+            let row = motion.row_mut(i);
             let Some(component) = region.component else {
-                motion.push(point.position - start);
+                add_vector(row, 0, &(point.position - start));
                 continue;
             };
-            let Some(k) = seam.owners.iter().position(|&o| o == component) else {
-                motion.push(Vector3::zeros());
-                continue;
-            };
+            let Some(k) = seam.owners.iter().position(|&o| o == component) else { continue };
             let reference = &self.reference[component as usize];
             let (from, to) = (&seam.locations[k], &point.locations[k]);
-            motion.push(match (&region.chart, self.options.propagation) {
+            match (&region.chart, self.options.propagation) {
                 (Some(chart), _) => match chart.unroll(reference, from, to, tolerance) {
-                    Some([a, b]) => Vector3::new(a, b, 0.0),
+                    Some(departure) => row.copy_from_slice(&departure),
                     None => {
                         let distance = (reference.position(to) - start).norm();
                         lost.push(VertexDistance { vertex: seam.vertex, distance });
-                        Vector3::zeros()
                     }
                 },
-                (None, Propagation::Surface) => reference.position(to) - start,
-                (None, _) => point.position - bodies[component as usize].position(from),
-            });
+                (None, Propagation::Surface) => add_vector(row, 0, &(reference.position(to) - start)),
+                (None, _) => {
+                    add_vector(row, 0, &(point.position - bodies[component as usize].position(from)));
+                }
+            }
         }
         match (region.component, lost.is_empty()) {
             (Some(component), false) => Err(DeformError::FootPoint {
@@ -177,7 +210,7 @@ impl Setup {
             .map(|v| {
                 let own = &self.ownership.of(v)[0];
                 if self.stationary[v as usize] {
-                    return Ok(Placed { position: self.positions[v as usize], location: own.location });
+                    return Ok(Placed::at(self.positions[v as usize], own.location));
                 }
                 let placed = self.place_vertex(v, own, &displacements[v as usize], bodies)?;
                 Ok(Placed { position: self.in_plane(v, placed.position), ..placed })
@@ -187,7 +220,7 @@ impl Setup {
         for (seam, point) in self.seams.vertices.iter().zip(seams) {
             if !self.stationary[seam.vertex as usize] {
                 let position = self.in_plane(seam.vertex, point.position);
-                placed[seam.vertex as usize] = Placed { position, location: point.locations[0] };
+                placed[seam.vertex as usize] = Placed::at(position, point.locations[0]);
             }
         }
         Ok(placed)
@@ -201,40 +234,70 @@ impl Setup {
         bodies: &[Body],
     ) -> Result<Placed, f64> {
         let body = &bodies[own.component as usize];
-        let at = |location: Location| Placed { position: body.position(&location), location };
-        if own.freedom == Freedom::Fixed || self.ownership.is_seam(v) {
-            return Ok(at(own.location));
-        }
+        let at = |location: Location| Placed::at(body.position(&location), location);
         let start = self.positions[v as usize];
-        match self.options.propagation {
-            Propagation::Surface => {
-                let reference = &self.reference[own.component as usize];
-                let region = self.fields.iter().find(|f| f.component == Some(own.component));
-                match region.map(|r| &r.chart) {
-                    None => Ok(at(own.location)),
-                    Some(None) => Ok(at(onto(reference, own, &(start + displacement))?.location)),
-                    Some(Some(chart)) => {
-                        let departure = free_departure(chart, body, own, displacement);
-                        Ok(at(chart.walk(reference, &own.location, departure)))
-                    }
-                }
+        match self.rule(v) {
+            Rule::Follow => Ok(at(own.location)),
+            Rule::Slide { chart, free } => {
+                let departure = [0, 1].map(|k| if free[k] { displacement[k] } else { 0.0 });
+                Ok(at(chart.walk(&self.reference[own.component as usize], &own.location, departure)))
             }
-            Propagation::Departure => {
-                Ok(placed(onto(body, own, &(body.position(&own.location) + displacement))?))
+            Rule::Undeformed => {
+                let aim = start + displacement;
+                let foot = onto(&self.reference[own.component as usize], own, &aim)?;
+                Ok(Placed { aim, ..at(foot.location) })
             }
-            Propagation::Absolute => Ok(placed(onto(body, own, &(start + displacement))?)),
+            Rule::Deformed { follow } => {
+                let from = if follow { body.position(&own.location) } else { start };
+                let aim = from + displacement;
+                let foot = onto(body, own, &aim)?;
+                Ok(Placed { position: foot.position, location: foot.location, aim })
+            }
         }
     }
 
-    /// Rounds of Laplacian smoothing, each followed by a projection onto the components.
-    fn smooth(&self, vertices: &mut [Placed], bodies: &[Body]) -> Result<(), DeformError> {
-        let options = &self.options.smoothing;
-        if options.rounds == 0 {
-            return Ok(());
+    /// How the field value of a vertex becomes its place.
+    pub(crate) fn rule(&self, v: u32) -> Rule<'_> {
+        let own = &self.ownership.of(v)[0];
+        if own.freedom == Freedom::Fixed || self.ownership.is_seam(v) {
+            return Rule::Follow;
         }
-        let laplacian = Laplacian::uniform(&self.topology, |v| !self.may_smooth(v));
-        let mut smoothed = vec![[0.0; 3]; vertices.len()];
-        for _ in 0..options.rounds {
+        match self.options.propagation {
+            Propagation::Surface => {
+                let region = self.fields.iter().find(|f| f.component == Some(own.component));
+                match region.map(|r| &r.chart) {
+                    None => Rule::Follow,
+                    Some(None) => Rule::Undeformed,
+                    Some(Some(chart)) => Rule::Slide { chart, free: self.free_coordinates(chart, own) },
+                }
+            }
+            Propagation::Departure => Rule::Deformed { follow: true },
+            Propagation::Absolute => Rule::Deformed { follow: false },
+        }
+    }
+
+    /// The coordinates of a departure that a vertex's freedom admits.
+    fn free_coordinates(&self, chart: &Chart, own: &Attachment) -> [bool; 2] {
+        let Freedom::Edge(edge) = own.freedom else { return [true; 2] };
+        let sides = &self.components[own.component as usize].edges()[edge as usize].sides;
+        match sides.iter().find(|s| s.patch == own.location.patch) {
+            Some(side) => chart.along_edge(&own.location, side),
+            None => [false; 2],
+        }
+    }
+
+    /// Rounds of Laplacian smoothing, each followed by a projection onto the components: the vertices before the first and
+    /// after each.
+    fn smooth(&self, vertices: Vec<Placed>, bodies: &[Body]) -> Result<Vec<Vec<Placed>>, DeformError> {
+        let options = &self.options.smoothing;
+        let mut all = vec![vertices];
+        if options.rounds == 0 {
+            return Ok(all);
+        }
+        let laplacian = self.laplacian();
+        let mut smoothed = vec![[0.0; 3]; self.positions.len()];
+        for round in 0..options.rounds {
+            let vertices = &all[round];
             let current: Vec<[f64; 3]> = vertices.iter().map(|p| p.position.into()).collect();
             laplacian.smooth(options.relaxation, &current, &mut smoothed);
             let results: Vec<Result<Placed, f64>> = vertices
@@ -247,41 +310,44 @@ impl Setup {
                         return Ok(*before);
                     }
                     let own = Attachment { location: before.location, ..self.ownership.of(v)[0] };
-                    let foot = onto(&bodies[own.component as usize], &own, &Vector3::from(*x))?;
+                    let aim = Vector3::from(*x);
+                    let foot = onto(&bodies[own.component as usize], &own, &aim)?;
                     let position = self.in_plane(v, foot.position);
-                    Ok(Placed { position, location: foot.location })
+                    Ok(Placed { position, location: foot.location, aim })
                 })
                 .collect();
-            vertices.copy_from_slice(&self.all_found(results)?);
+            all.push(self.all_found(results)?);
         }
-        Ok(())
+        Ok(all)
     }
 
-    fn may_smooth(&self, v: u32) -> bool {
+    /// The smoothing matrix; vertices that smoothing must not move have rows of the identity.
+    pub(crate) fn laplacian(&self) -> Laplacian {
+        Laplacian::uniform(&self.topology, |v| !self.may_smooth(v))
+    }
+
+    /// Whether smoothing moves a vertex.
+    pub(crate) fn may_smooth(&self, v: u32) -> bool {
         !self.stationary[v as usize]
             && matches!(self.ownership.of(v), [only] if only.freedom == Freedom::Surface)
     }
 
-    /// Step F for the smooth outer mold line: vertices that nothing protects onto the zero set of `Phi`. The second and
-    /// third values are the largest `|Phi|` left and the most steps taken.
+    /// Step F for the smooth outer mold line: vertices that nothing protects onto the zero set of `Phi`. The second value
+    /// is the largest `|Phi|` left, the third the steps of the vertices that took any.
+    #[allow(clippy::type_complexity)]
     fn onto_outer_mold_line(
         &self,
-        placed: Vec<Placed>,
+        placed: &[Placed],
         seams: &[SeamPoint],
         bodies: &[Body],
         monitor: &dyn Monitor,
-    ) -> Result<(Vec<Vector3>, f64, usize), DeformError> {
+    ) -> Result<(Vec<Vector3>, f64, Vec<(u32, Vec<Step>)>), DeformError> {
         if self.options.outer_mold_line == OuterMoldLine::Sharp {
-            return Ok((placed.into_iter().map(|p| p.position).collect(), 0.0, 0));
+            return Ok((placed.iter().map(|p| p.position).collect(), 0.0, Vec::new()));
         }
-        let projection = SmoothProjection {
-            bodies,
-            union: self.union,
-            steps: self.options.projection_steps,
-            tolerance: self.options.projection_tolerance * self.length,
-        };
+        let projection = self.projection(bodies);
         let mut known: Vec<Vec<(u32, Location)>> = (0u32..)
-            .zip(&placed)
+            .zip(placed)
             .map(|(v, p)| vec![(self.ownership.of(v)[0].component, p.location)])
             .collect();
         for (seam, point) in self.seams.vertices.iter().zip(seams) {
@@ -294,7 +360,7 @@ impl Setup {
             .enumerate()
             .map(|(v, (p, known))| {
                 if !self.is_active(v as u32) || monitor.cancelled() {
-                    return Projected { position: p.position, value: 0.0, steps: 0 };
+                    return Projected { position: p.position, value: 0.0, steps: Vec::new() };
                 }
                 projection.eval(p.position, known, |x| self.in_plane(v as u32, x))
             })
@@ -313,8 +379,19 @@ impl Setup {
             return Err(DeformError::NotProjected { count, steps: projection.steps, worst });
         }
         let residual = projected.iter().map(|p| p.value.abs()).fold(0.0, f64::max);
-        let steps = projected.iter().map(|p| p.steps).max().unwrap_or(0);
-        Ok((projected.into_iter().map(|p| p.position).collect(), residual, steps))
+        let positions = projected.iter().map(|p| p.position).collect();
+        let steps = (0u32..).zip(projected).filter(|(_, p)| !p.steps.is_empty());
+        Ok((positions, residual, steps.map(|(v, p)| (v, p.steps)).collect()))
+    }
+
+    /// The smooth projection in one state of the components.
+    pub(crate) fn projection<'a>(&self, bodies: &'a [Body]) -> SmoothProjection<'a> {
+        SmoothProjection {
+            bodies,
+            union: self.union,
+            steps: self.options.projection_steps,
+            tolerance: self.options.projection_tolerance * self.length,
+        }
     }
 
     /// Whether the smooth projection moves a vertex: nothing protects or holds it.
@@ -323,7 +400,7 @@ impl Setup {
     }
 
     /// Vertices of the symmetry plane stay in it.
-    fn in_plane(&self, v: u32, x: Vector3) -> Vector3 {
+    pub(crate) fn in_plane(&self, v: u32, x: Vector3) -> Vector3 {
         if self.in_plane[v as usize] { Vector3::new(x.x, 0.0, x.z) } else { x }
     }
 
@@ -346,19 +423,22 @@ impl Setup {
     }
 }
 
-/// The departure that a vertex's freedom admits.
-fn free_departure(chart: &Chart, body: &Body, own: &Attachment, displacement: &Vector3) -> [f64; 2] {
-    let departure = [displacement.x, displacement.y];
-    let Freedom::Edge(edge) = own.freedom else { return departure };
-    let sides = &body.component().edges()[edge as usize].sides;
-    match sides.iter().find(|s| s.patch == own.location.patch) {
-        Some(side) => chart.along_edge(&own.location, side, departure),
-        None => [0.0; 2],
+impl Placed {
+    fn at(position: Vector3, location: Location) -> Self {
+        Self { position, location, aim: position }
     }
 }
 
-fn placed(foot: FootPoint) -> Placed {
-    Placed { position: foot.position, location: foot.location }
+/// How the field value `d` of a vertex becomes its place.
+pub(crate) enum Rule<'a> {
+    /// It stays at its parameters.
+    Follow,
+    /// Its parameters are those of the end of a walk of `d` in the chart, as far as coordinates are free.
+    Slide { chart: &'a Chart, free: [bool; 2] },
+    /// Its parameters are those of the foot point of its reference position plus `d` on the undeformed component.
+    Undeformed,
+    /// It is the foot point on the deformed component of `d` plus where it was, or (`follow`) where its parameters are now.
+    Deformed { follow: bool },
 }
 
 /// The foot point of `x` on the part of a component that its vertex may move over: its own sheet, or its sharp edge. On

@@ -333,7 +333,14 @@ impl RadialBasis {
         }
         match self.kernel {
             Kernel::Linear => {
-                tiled(targets, sources, weights, out, #[inline(always)] |squared: f64| -squared.sqrt());
+                tiled(
+                    targets,
+                    sources,
+                    weights,
+                    out,
+                    #[inline(always)]
+                    |squared: f64| -squared.sqrt(),
+                );
             }
             Kernel::Cubic => tiled(
                 targets,

@@ -5,12 +5,13 @@
 //! iterate near the root, safeguarded Newton steps finish it. A vertex where three components meet solves for both
 //! parameters instead; the seams that end there are carried along.
 
-use moldline_geometry::{Body, Location, ParameterDirection, SmoothUnion};
+use moldline_geometry::{Body, FootPoint, Location, ParameterDirection, SmoothUnion, SmoothUnionPoint};
 use moldline_spline::Vector3;
 use rayon::prelude::*;
 
 use crate::{
     DeformError, Monitor, SeamOptions,
+    chart::product,
     error::{LISTED, VertexDistance},
 };
 
@@ -109,6 +110,15 @@ struct Residual {
     speed: f64,
 }
 
+/// The targets of a line seen from a point.
+pub(crate) struct Targets {
+    pub union: SmoothUnionPoint,
+    /// Of each target in the union.
+    pub weights: Vec<f64>,
+    /// On each target.
+    pub feet: Vec<FootPoint>,
+}
+
 const PARAMETERS: [ParameterDirection; 2] = [ParameterDirection::U, ParameterDirection::V];
 
 /// The location at `lambda` of a line. Lines are walked on the component in its reference state, so that they stay the
@@ -121,6 +131,36 @@ pub(crate) fn along(reference: &Body, start: &Location, direction: [f64; 2], lam
         }
     }
     at
+}
+
+/// The end of a line and how it depends on where it starts and on its lengths along `u` and `v`: rows are `u`, `v`.
+pub(crate) struct Along {
+    pub end: Location,
+    pub by_start: [[f64; 2]; 2],
+    pub by_lengths: [[f64; 2]; 2],
+}
+
+/// [`along`] for given lengths, with its derivative.
+pub(crate) fn along_derivative(reference: &Body, start: &Location, lengths: [f64; 2]) -> Along {
+    let by_u = reference.walk_derivative(start, PARAMETERS[0], lengths[0]);
+    let by_v = reference.walk_derivative(&by_u.end, PARAMETERS[1], lengths[1]);
+    let through = |column: [f64; 2]| by_v.by_start.map(|row| row[0] * column[0] + row[1] * column[1]);
+    let first = through(by_u.by_length);
+    Along {
+        end: by_v.end,
+        by_start: product(&by_v.by_start, &by_u.by_start),
+        by_lengths: [0, 1].map(|row| [first[row], by_v.by_length[row]]),
+    }
+}
+
+impl SeamSearch {
+    /// The component whose parameters are searched.
+    pub fn reference(&self) -> u32 {
+        match self {
+            Self::Line(line) => line.reference,
+            Self::Junction(junction) => junction.reference,
+        }
+    }
 }
 
 impl SeamSolver {
@@ -202,20 +242,22 @@ impl SeamSolver {
             let foot = nearest(&bodies[target as usize], &point.position, bound);
             (foot.distance, foot.normal)
         } else {
-            let feet: Vec<(f64, Vector3)> = line
-                .targets
-                .iter()
-                .map(|&t| {
-                    let foot = bodies[t as usize].closest_point(&point.position);
-                    (foot.distance, foot.normal)
-                })
-                .collect();
-            let mut weights = vec![0.0; feet.len()];
-            let union = SmoothUnion::from_fillet(self.options.fillet * self.length);
-            let point = union.eval(&feet, &mut weights);
-            (point.phi, point.gradient)
+            let targets = self.targets(line, &point.position, bodies);
+            (targets.union.phi, targets.union.gradient)
         };
         Residual { g, slope: gradient.dot(&tangent), speed: tangent.norm() }
+    }
+
+    /// The smooth union of a line's targets. Its rho is much larger than that of the outer mold line, or a third
+    /// component would displace the seam of two.
+    pub(crate) fn targets(&self, line: &SeamLine, x: &Vector3, bodies: &[Body]) -> Targets {
+        let feet: Vec<FootPoint> =
+            line.targets.iter().map(|&t| bodies[t as usize].closest_point(x)).collect();
+        let distances: Vec<(f64, Vector3)> = feet.iter().map(|f| (f.distance, f.normal)).collect();
+        let mut weights = vec![0.0; feet.len()];
+        let union =
+            SmoothUnion::from_fillet(self.options.fillet * self.length).eval(&distances, &mut weights);
+        Targets { union, weights, feet }
     }
 
     /// The root on a line, or the distance at which the search ended.
@@ -414,7 +456,7 @@ fn shorter_way(body: &Body, patch: u32, parameter: usize, difference: f64) -> f6
 }
 
 /// The closest point, searched within `bound` first.
-fn nearest(body: &Body, x: &Vector3, bound: f64) -> moldline_geometry::FootPoint {
+fn nearest(body: &Body, x: &Vector3, bound: f64) -> FootPoint {
     if bound.is_finite()
         && let Some(foot) = body.closest_point_within(x, bound)
     {

@@ -51,6 +51,11 @@ pub struct RegionField {
 }
 
 impl RegionField {
+    /// Numbers that a departure has.
+    pub fn columns(&self) -> usize {
+        if self.chart.is_some() { 2 } else { 3 }
+    }
+
     fn summary(&self, names: &[String]) -> FieldSummary {
         let training = self.field.training();
         FieldSummary {
@@ -130,7 +135,7 @@ impl Setup {
         monitor.progress(Stage::Seams, 0.0);
         let (seams, seam_summaries) =
             seam_solver(&ownership, &topology, &mesh.vertices, &reference, options.seam, length, monitor)?;
-        let seam_points = seams.eval(&reference, monitor).map_err(|error| match error {
+        let seam_points = seams.eval(&reference, &reference, monitor).map_err(|error| match error {
             DeformError::Cancelled => SetupError::Cancelled,
             other => SetupError::ReferenceSeam(Box::new(other)),
         })?;
@@ -540,10 +545,9 @@ impl Fields<'_> {
             (Some(chart), Some(c)) => {
                 let seam = self.seams.vertices.iter().find_map(|s| self.ownership.on(s.vertex, c));
                 let location = seam.map(|a| a.location)?;
-                let [a, b] = chart.mirror_signs(&self.reference[c as usize], &location, plane)?;
-                Vector3::new(a, b, 0.0)
+                chart.mirror_signs(&self.reference[c as usize], &location, plane)?.to_vec()
             }
-            _ => Vector3::new(1.0, -1.0, 1.0),
+            _ => vec![1.0, -1.0, 1.0],
         };
         Some(Mirror { plane, tolerance, signs })
     }

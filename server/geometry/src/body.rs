@@ -437,8 +437,8 @@ impl Body {
         self.foot_point(x, &patch.on_side(s.patch, s.side, t))
     }
 
-    /// What a location is to `x`: feature, normal and signed distance.
-    pub(crate) fn foot_point(&self, x: &Vector3, l: &Location) -> FootPoint {
+    /// What a location is to `x`, if it is its foot point: feature, normal and signed distance.
+    pub fn foot_point(&self, x: &Vector3, l: &Location) -> FootPoint {
         let patch = &self.component.patches()[l.patch as usize];
         let [ru, rv] = patch.surface.domain();
         let l = Location { patch: l.patch, u: l.u.clamp(ru.0, ru.1), v: l.v.clamp(rv.0, rv.1) };

@@ -74,6 +74,8 @@ enum Turn {
     },
     /// `dn = (I - n n^T) (dx - dS - J dmu) / phi`: edges and corners.
     Fan,
+    /// On an edge or a corner itself the gradient jumps; the mean normal is held.
+    Held,
 }
 
 impl<'a> SignedDistance<'a> {
@@ -96,9 +98,14 @@ impl<'a> SignedDistance<'a> {
     /// Value and gradient at `x` for a foot point already found.
     pub fn at(&self, x: &Vector3, foot: FootPoint) -> SignedDistancePoint {
         let phi = foot.distance;
-        let off_face = foot.feature != Feature::Face && phi.abs() > 1e-12 * self.body.size();
+        let off_face = foot.feature != Feature::Face && !self.is_on(phi);
         let normal = if off_face { (x - foot.position) / phi } else { foot.normal };
         SignedDistancePoint { phi, normal, foot }
+    }
+
+    /// Whether a distance is none.
+    fn is_on(&self, phi: f64) -> bool {
+        phi.abs() <= 1e-12 * self.body.size()
     }
 
     /// The derivative for a foot point of `x`. On an edge the foot point is that on the edge's curve.
@@ -124,12 +131,15 @@ impl<'a> SignedDistance<'a> {
                     b: dot(&at.normal),
                 }
             }
-            (_, Some(t)) => {
-                q[t][t] = 1.0 / (g[t][t] - dot(&offset)[t][t]);
-                p[t] = j[t] * q[t][t];
-                Turn::Fan
+            (_, along) => {
+                // An end of the edge holds a foot point that would go on behind it.
+                let free = |t: &usize| j[*t].dot(&offset).abs() <= 1e-9 * self.body.size() * j[*t].norm();
+                if let Some(t) = along.filter(free) {
+                    q[t][t] = 1.0 / (g[t][t] - dot(&offset)[t][t]);
+                    p[t] = j[t] * q[t][t];
+                }
+                if self.is_on(at.phi) { Turn::Held } else { Turn::Fan }
             }
-            (_, None) => Turn::Fan,
         };
         SignedDistanceDerivative { phi: at.phi, normal: at.normal, j, offset, p, q, turn }
     }
@@ -183,6 +193,7 @@ impl SignedDistanceDerivative {
                 let moved = step - self.j[0] * mu[0] - self.j[1] * mu[1];
                 (moved - self.normal * self.normal.dot(&moved)) / self.phi
             }
+            Turn::Held => Vector3::zeros(),
         };
         (self.normal.dot(&step), turned)
     }
@@ -204,6 +215,7 @@ impl SignedDistanceDerivative {
                 out.s -= across;
                 self.j.map(|j| -j.dot(&across))
             }
+            Turn::Held => [0.0; 2],
         };
         let by_parameters = self.parameters_vjp(mu);
         out.x += by_parameters.x;

@@ -1,0 +1,227 @@
+//! Jacobian-vector and vector-Jacobian products of whole deformations: against differences of deformations, and against each
+//! other.
+
+// Helpers of tests fail by panicking, like the tests themselves.
+#![allow(clippy::unwrap_used)]
+
+use std::{path::Path, sync::Arc};
+
+use moldline_deform::{
+    DeformError, Kernel, Linearisation, Options, OuterMoldLine, Propagation, Setup, Silent, Tangent,
+};
+use moldline_setup::{Limits, read_folder, read_setup};
+
+fn setup(folder: &str, change: impl Fn(&mut Options)) -> Arc<Setup> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..").join(folder);
+    let (files, setup_file) = read_folder(&folder, &Limits::default()).unwrap();
+    let mut content = read_setup(&files, Some(&setup_file), &Limits::default()).unwrap();
+    change(&mut content.input.options);
+    Arc::new(Setup::build(content.input, &Silent).unwrap())
+}
+
+/// splitmix64.
+struct Random(u64);
+
+impl Random {
+    fn between(&mut self, low: f64, high: f64) -> f64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        low + (high - low) * ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    fn tangent(&mut self, vertices: usize) -> Tangent {
+        Tangent {
+            vertices: (0..vertices).map(|_| std::array::from_fn(|_| self.between(-1.0, 1.0))).collect(),
+        }
+    }
+}
+
+/// A design some way towards random ends of the bounds.
+fn design(setup: &Setup, share: f64, random: &mut Random) -> Vec<f64> {
+    let variables = setup.parameterisation().variables().iter();
+    variables
+        .map(|v| {
+            let end = if random.between(-1.0, 1.0) < 0.0 { v.lower } else { v.upper };
+            v.baseline + share * (end - v.baseline)
+        })
+        .collect()
+}
+
+fn dot(a: &[[f64; 3]], b: &[[f64; 3]]) -> f64 {
+    a.iter().flatten().zip(b.iter().flatten()).map(|(a, b)| a * b).sum()
+}
+
+/// Relative error of `J v` against the best of a few fourth-order central differences.
+fn against_differences(linearisation: &Linearisation, direction: &[f64], range: f64) -> f64 {
+    let setup = linearisation.setup();
+    let design = linearisation.design().unwrap();
+    let tangent = linearisation.jvp(&[direction]).unwrap().remove(0);
+    let at = |t: f64| {
+        let design: Vec<f64> = design.iter().zip(direction).map(|(x, d)| x + t * d).collect();
+        let control_points = setup.parameterisation().control_points(&design).unwrap();
+        setup.deform_control_points(&control_points, &Silent).unwrap().vertices
+    };
+    let size = dot(&tangent.vertices, &tangent.vertices).sqrt();
+    [1e-3, 1e-4]
+        .map(|step| {
+            let h = step * range;
+            let [a, b, c, d] = [-2.0, -1.0, 1.0, 2.0].map(|k| at(k * h));
+            let error = (0..a.len()).map(|v| {
+                (0..3)
+                    .map(|k| {
+                        let slope = (a[v][k] - d[v][k] + 8.0 * (c[v][k] - b[v][k])) / (12.0 * h);
+                        (slope - tangent.vertices[v][k]).powi(2)
+                    })
+                    .sum::<f64>()
+            });
+            error.sum::<f64>().sqrt() / size
+        })
+        .into_iter()
+        .fold(f64::INFINITY, f64::min)
+}
+
+/// Largest relative gap between `w . J v` and `J^T w . v`, in blocks of `k`.
+fn dot_product_gap(linearisation: &Linearisation, k: usize, random: &mut Random) -> f64 {
+    let variables = linearisation.design().unwrap().len();
+    let vertices = linearisation.deformation().vertices.len();
+    let directions: Vec<Vec<f64>> =
+        (0..k).map(|_| (0..variables).map(|_| random.between(-1.0, 1.0)).collect()).collect();
+    let seeds: Vec<Tangent> = (0..k).map(|_| random.tangent(vertices)).collect();
+    let tangents = linearisation.jvp(&directions).unwrap();
+    let gradients = linearisation.vjp(&seeds).unwrap();
+    let mut worst: f64 = 0.0;
+    for (direction, tangent) in directions.iter().zip(&tangents) {
+        for (seed, gradient) in seeds.iter().zip(&gradients) {
+            let forward = dot(&seed.vertices, &tangent.vertices);
+            let backward: f64 = gradient.design.iter().zip(direction).map(|(a, b)| a * b).sum();
+            let scale =
+                (dot(&seed.vertices, &seed.vertices) * dot(&tangent.vertices, &tangent.vertices)).sqrt();
+            worst = worst.max((forward - backward).abs() / scale);
+        }
+    }
+    worst
+}
+
+/// All that changes the chain of operations.
+fn variants() -> Vec<(&'static str, fn(&mut Options))> {
+    vec![
+        ("sharp", |_| {}),
+        ("smooth", |o| o.outer_mold_line = OuterMoldLine::Smooth),
+        ("smoothing", |o| {
+            o.smoothing.rounds = 2;
+            o.outer_mold_line = OuterMoldLine::Smooth;
+        }),
+        ("departure", |o| o.propagation = Propagation::Departure),
+        ("absolute", |o| {
+            o.propagation = Propagation::Absolute;
+            o.outer_mold_line = OuterMoldLine::Smooth;
+        }),
+        ("cubic", |o| {
+            o.kernel = Some(Kernel::Cubic);
+            o.regularisation = 1e-6;
+        }),
+    ]
+}
+
+#[test]
+fn products_agree_with_differences_and_with_their_transposes() {
+    for folder in ["tests/configurations/boom", "tests/configurations/half"] {
+        for (name, change) in variants() {
+            let setup = setup(folder, change);
+            let mut random = Random(7);
+            let design = design(&setup, 0.35, &mut random);
+            let linearisation = setup.linearise(&design, &Silent).unwrap();
+            let gap = dot_product_gap(&linearisation, 3, &mut random);
+            // Sums over cubic functions of close centres cancel: their rounding is thousands of times that of the linear ones.
+            let cubic = setup.options().kernel() == Kernel::Cubic;
+            let bound = if cubic { 1e-10 } else { 1e-12 };
+            assert!(gap <= bound, "{folder}, {name}: dot products differ by {gap:e}");
+            for (i, variable) in setup.parameterisation().variables().iter().enumerate() {
+                let mut direction = vec![0.0; design.len()];
+                direction[i] = 1.0;
+                let error = against_differences(&linearisation, &direction, variable.upper - variable.lower);
+                assert!(error <= 1e-6, "{folder}, {name}, {}: {error:e}", variable.name);
+            }
+        }
+    }
+}
+
+#[test]
+fn the_e175_has_exact_products_far_from_its_baseline() {
+    for outer_mold_line in [OuterMoldLine::Sharp, OuterMoldLine::Smooth] {
+        let setup = setup("examples/e175", |o| o.outer_mold_line = outer_mold_line);
+        let mut random = Random(3);
+        for share in [0.0, 0.5] {
+            let design = design(&setup, share, &mut random);
+            let linearisation = setup.linearise(&design, &Silent).unwrap();
+            let plain = setup.deform(&design, &Silent).unwrap();
+            assert_eq!(plain.vertices, linearisation.deformation().vertices);
+            for k in [1, design.len()] {
+                let gap = dot_product_gap(&linearisation, k, &mut random);
+                assert!(gap <= 1e-12, "k = {k}: dot products differ by {gap:e}");
+            }
+            let direction: Vec<f64> = setup
+                .parameterisation()
+                .variables()
+                .iter()
+                .map(|v| random.between(-0.05, 0.05) * (v.upper - v.lower))
+                .collect();
+            let error = against_differences(&linearisation, &direction, 1.0);
+            assert!(error <= 1e-6, "{error:e}");
+        }
+    }
+}
+
+#[test]
+fn control_points_are_inputs_too() {
+    let setup = setup("tests/configurations/half", |o| o.outer_mold_line = OuterMoldLine::Smooth);
+    let mut random = Random(5);
+    let design = design(&setup, 0.3, &mut random);
+    let control_points = setup.parameterisation().control_points(&design).unwrap();
+    let by_design = setup.linearise(&design, &Silent).unwrap();
+    let by_points = setup.linearise_control_points(&control_points, &Silent).unwrap();
+    assert!(matches!(by_points.jvp(&[design.clone()]), Err(DeformError::NoDesign)));
+
+    // A direction in design space is one of control points.
+    let direction: Vec<f64> = design.iter().map(|_| random.between(-1.0, 1.0)).collect();
+    let parameterisation = setup.parameterisation().linearise(&design).unwrap();
+    let of_points = parameterisation.jvp(&[&direction]).unwrap();
+    let a = by_design.jvp(&[&direction]).unwrap();
+    let b = by_points.jvp_control_points(&of_points).unwrap();
+    assert_eq!(a, b);
+    let stages = by_points.stages(&of_points[0]).unwrap();
+    for (x, y) in stages.vertices.iter().zip(&a[0].vertices) {
+        assert!((0..3).all(|k| (x[k] - y[k]).abs() <= 1e-12));
+    }
+
+    // The gradient by control points, contracted, is the gradient by design.
+    let seed = random.tangent(setup.mesh().vertices.len());
+    let gradient = by_points.vjp(std::slice::from_ref(&seed)).unwrap().remove(0);
+    assert!(gradient.design.is_empty());
+    let contracted: f64 = gradient.control_points.iter().zip(&of_points[0]).map(|(g, t)| dot(g, t)).sum();
+    let forward = dot(&seed.vertices, &a[0].vertices);
+    assert!((contracted - forward).abs() <= 1e-11 * forward.abs().max(1.0));
+
+    let short = Tangent { vertices: seed.vertices[1..].to_vec() };
+    assert!(matches!(by_points.vjp(&[seed, short]), Err(DeformError::SeedSize { index: 1, .. })));
+}
+
+#[test]
+fn products_do_not_depend_on_threads() {
+    let setup = setup("tests/configurations/boom", |o| o.outer_mold_line = OuterMoldLine::Smooth);
+    let design = design(&setup, 0.35, &mut Random(7));
+    let run = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            let linearisation = setup.linearise(&design, &Silent).unwrap();
+            let mut random = Random(1);
+            let seeds: Vec<Tangent> = (0..3).map(|_| random.tangent(setup.mesh().vertices.len())).collect();
+            let directions: Vec<Vec<f64>> =
+                (0..5).map(|k| design.iter().map(|x| (x + k as f64).sin()).collect()).collect();
+            (linearisation.jvp(&directions).unwrap(), linearisation.vjp(&seeds).unwrap())
+        })
+    };
+    assert_eq!(run(1), run(2));
+}
