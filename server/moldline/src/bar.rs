@@ -20,8 +20,13 @@ impl Bar {
 
     /// Shows a step.
     pub fn show(&self, progress: &Progress) {
-        self.0.set_message(progress.message.clone());
-        self.0.set_position((progress.fraction * 100.0) as u64);
+        self.tell(progress.message.clone(), progress.fraction);
+    }
+
+    /// Shows how far work has come that is described by a message.
+    pub fn tell(&self, message: String, fraction: f64) {
+        self.0.set_message(message);
+        self.0.set_position((fraction * 100.0) as u64);
     }
 }
 

@@ -26,6 +26,8 @@ pub enum Command {
     Deform(Deform),
     /// Build a set-up on this machine and print what was found
     Setup(Setup),
+    /// Check the derivatives of a set-up against the adjoint's own transpose, dual numbers and central differences
+    Check(Check),
     /// Print the JSON Schema of set-up or geometry files
     Schema(Schema),
 }
@@ -165,6 +167,32 @@ pub struct Setup {
     /// Print the report as JSON
     #[arg(long)]
     pub json: bool,
+}
+
+/// Options of `moldline check`.
+#[derive(Debug, Args)]
+pub struct Check {
+    /// Where the set-up is.
+    #[command(flatten)]
+    pub source: Source,
+    /// How many designs: the baseline, then random ones far from it
+    #[arg(long, value_name = "N", default_value_t = NonZeroUsize::MIN, conflicts_with = "design")]
+    pub designs: NonZeroUsize,
+    /// Seed of the random designs and vectors
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// This design instead, as JSON: an object of names and values, or an array of all values in order
+    #[arg(long, alias = "design-file", value_name = "FILE")]
+    pub design: Option<PathBuf>,
+    /// Variables to compare with dual numbers and differences, by name or by the name of an array of them [default: all]
+    #[arg(long, value_delimiter = ',', value_name = "NAME,...")]
+    pub variables: Vec<String>,
+    /// JSON file to write all errors to
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+    /// Folder to draw the errors against the step of the differences in, a PNG for each design
+    #[arg(long, value_name = "FOLDER")]
+    pub plots: Option<PathBuf>,
 }
 
 /// Options of `moldline schema`.

@@ -7,6 +7,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use moldline_check::CheckError;
 use moldline_deform::{Deformation, Monitor, Setup};
 use moldline_mesh::{
     CellQuality, SurfaceMesh,
@@ -18,6 +19,7 @@ use moldline_setup::{ArchiveKind, Files, Limits, SetupFileError, read_folder, re
 use crate::{
     bar::Bar,
     config::{self, Document, Source},
+    plot::PlotError,
     serve::ServeError,
 };
 
@@ -46,6 +48,15 @@ pub enum Failure {
         /// Why.
         reason: String,
     },
+    /// The check cannot be carried out.
+    #[error(transparent)]
+    Check(#[from] CheckError),
+    /// The derivatives are wrong.
+    #[error("the derivatives do not pass: {0}")]
+    Derivatives(String),
+    /// A figure cannot be drawn.
+    #[error("cannot draw the figure: {0}")]
+    Plot(#[from] PlotError),
     /// No threads.
     #[error("cannot start the compute threads: {0}")]
     Threads(#[from] rayon::ThreadPoolBuildError),
@@ -92,19 +103,19 @@ pub fn schema(options: &config::Schema) -> Result<(), Failure> {
 }
 
 /// Prints a line of results. A reader that has seen enough is no failure.
-fn say(line: &dyn fmt::Display) -> Result<(), Failure> {
+pub fn say(line: &dyn fmt::Display) -> Result<(), Failure> {
     match writeln!(io::stdout().lock(), "{line}") {
         Err(error) if error.kind() != io::ErrorKind::BrokenPipe => Err(Failure::Output(error)),
         _ => Ok(()),
     }
 }
 
-fn pool(source: &Source) -> Result<rayon::ThreadPool, Failure> {
+pub fn pool(source: &Source) -> Result<rayon::ThreadPool, Failure> {
     Ok(rayon::ThreadPoolBuilder::new().num_threads(config::threads(source.threads)).build()?)
 }
 
 /// Reads and builds a set-up.
-fn build(source: &Source) -> Result<Setup, Failure> {
+pub fn build(source: &Source) -> Result<Setup, Failure> {
     let limits = Limits::default();
     let (files, setup_file) = read(source, &limits).map_err(ServiceError::from)?;
     let content = read_setup(&files, Some(&setup_file), &limits).map_err(ServiceError::from)?;
@@ -151,26 +162,32 @@ fn report(setup: &Setup, design: &[f64], deformation: &Deformation) -> serde_jso
 
 /// The design asked for, every variable in order.
 fn design(options: &config::Deform, setup: &Setup) -> Result<Vec<f64>, Failure> {
+    match &options.design_file {
+        Some(path) => design_file(path, setup),
+        None => named(setup, options.design.iter().map(|(name, value)| (name.as_str(), *value))),
+    }
+}
+
+/// The baseline with some variables set by name.
+fn named<'n>(setup: &Setup, values: impl Iterator<Item = (&'n str, f64)>) -> Result<Vec<f64>, Failure> {
+    setup.parameterisation().design(values).map_err(|error| Failure::Refused(error.into()))
+}
+
+/// The design in a JSON file.
+pub fn design_file(path: &Path, setup: &Setup) -> Result<Vec<f64>, Failure> {
     #[derive(serde::Deserialize)]
     #[serde(untagged)]
     enum File {
         All(Vec<f64>),
         Named(BTreeMap<String, f64>),
     }
-    let parameterisation = setup.parameterisation();
-    let named = |values: &mut dyn Iterator<Item = (&str, f64)>| {
-        parameterisation.design(values).map_err(|error| Failure::Refused(error.into()))
-    };
-    let Some(path) = &options.design_file else {
-        return named(&mut options.design.iter().map(|(name, value)| (name.as_str(), *value)));
-    };
-    let text = fs::read(path).map_err(|error| Failure::File { path: path.clone(), error })?;
+    let text = fs::read(path).map_err(|error| Failure::File { path: path.to_owned(), error })?;
     match serde_json::from_slice(&text) {
         Ok(File::All(values)) => Ok(values),
-        Ok(File::Named(values)) => named(&mut values.iter().map(|(name, value)| (name.as_str(), *value))),
+        Ok(File::Named(values)) => named(setup, values.iter().map(|(name, value)| (name.as_str(), *value))),
         Err(_) => {
             let reason = "is neither a JSON object of names and numbers nor an array of numbers".to_owned();
-            Err(Failure::DesignFile { path: path.clone(), reason })
+            Err(Failure::DesignFile { path: path.to_owned(), reason })
         }
     }
 }
@@ -207,6 +224,14 @@ fn vtu_of(setup: &Setup, deformation: &Deformation) -> Vec<u8> {
     vtu::write(&mesh, &point_data, &cell_data)
 }
 
-fn write(path: &Path, content: &[u8]) -> Result<(), Failure> {
+pub fn write(path: &Path, content: &[u8]) -> Result<(), Failure> {
     fs::write(path, content).map_err(|error| Failure::File { path: path.to_owned(), error })
+}
+
+/// Writes a file, and makes its folder where there is none.
+pub fn write_with_folder(path: &Path, content: &[u8]) -> Result<(), Failure> {
+    if let Some(folder) = path.parent() {
+        fs::create_dir_all(folder).map_err(|error| Failure::File { path: folder.to_owned(), error })?;
+    }
+    write(path, content)
 }

@@ -5,9 +5,11 @@ use std::process::ExitCode;
 use clap::Parser;
 
 mod bar;
+mod check;
 mod config;
 mod grpc;
 mod local;
+mod plot;
 mod serve;
 mod shutdown;
 mod telemetry;
@@ -21,6 +23,7 @@ fn main() -> ExitCode {
         Command::Serve(options) => serve::run(&options),
         Command::Deform(options) => local::deform(&options),
         Command::Setup(options) => local::setup(&options),
+        Command::Check(options) => check::run(&options),
         Command::Schema(options) => local::schema(&options),
     };
     match outcome {

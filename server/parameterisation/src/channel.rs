@@ -2,6 +2,10 @@
 
 use std::ops::Range;
 
+use nalgebra::convert;
+
+use crate::Scalar;
+
 /// Variables that are added: the effect is `(value - baseline) * si`.
 #[derive(Clone, Debug)]
 pub(crate) struct Additive {
@@ -13,8 +17,8 @@ pub(crate) struct Additive {
 }
 
 impl Additive {
-    pub(crate) fn value(&self, design: &[f64], i: usize) -> f64 {
-        (design[self.range.start + i] - self.baseline) * self.si
+    pub(crate) fn value<T: Scalar>(&self, design: &[T], i: usize) -> T {
+        (design[self.range.start + i] - convert(self.baseline)) * convert(self.si)
     }
 
     pub(crate) fn jvp(&self, direction: &[f64], i: usize) -> f64 {
@@ -34,8 +38,8 @@ pub(crate) struct Relative {
 }
 
 impl Relative {
-    pub(crate) fn value(&self, design: &[f64]) -> f64 {
-        design[self.index] / self.baseline
+    pub(crate) fn value<T: Scalar>(&self, design: &[T]) -> T {
+        design[self.index] / convert(self.baseline)
     }
 
     pub(crate) fn jvp(&self, direction: &[f64]) -> f64 {

@@ -13,10 +13,11 @@
 //! iteration. A control point moves by F(xi; B*) - F(xi; B0), so the baseline is reproduced exactly.
 
 use moldline_spline::{KnotVector, Vector3, Volume};
+use nalgebra::convert;
 
 use crate::parameterisation::shift;
 use crate::sections::{Axes, SampledSurfaces, Section};
-use crate::{FreeFormDeclaration, ParameterisationError};
+use crate::{FreeFormDeclaration, ParameterisationError, Scalar};
 
 /// Sections thinner than this fraction of the largest chord get this chord, so that their frames stay well defined
 /// (a pointed tip).
@@ -81,33 +82,34 @@ impl Frame {
 }
 
 /// One section's quantities with the sine and cosine of its twist.
-struct Turned<'a> {
-    values: &'a [f64],
-    sin: f64,
-    cos: f64,
+struct Turned<'a, T> {
+    values: &'a [T],
+    sin: T,
+    cos: T,
     rows: usize,
 }
 
-impl<'a> Turned<'a> {
-    fn new(values: &'a [f64], rows: usize) -> Self {
+impl<'a, T: Scalar> Turned<'a, T> {
+    fn new(values: &'a [T], rows: usize) -> Self {
         let (sin, cos) = values[TWIST].sin_cos();
         Self { values, sin, cos, rows }
     }
 
     /// kappa + sigma tau of a row.
-    fn bulge(&self, row: usize, layer: f64) -> f64 {
-        self.values[CAMBER + row] + layer * self.values[CAMBER + self.rows + row]
+    fn bulge(&self, row: usize, layer: f64) -> T {
+        self.values[CAMBER + row] + convert::<f64, T>(layer) * self.values[CAMBER + self.rows + row]
     }
 
     /// Coordinates along e and n before the twist, in chords.
-    fn flat(&self, row: usize, along: f64, across: f64, layer: f64) -> [f64; 2] {
-        let stretch = 1.0 + self.values[STRETCH];
-        let thickness = 1.0 + self.values[THICKNESS_STRETCH];
+    fn flat(&self, row: usize, along: f64, across: f64, layer: f64) -> [T; 2] {
+        let [along, across] = [along, across].map(convert::<f64, T>);
+        let stretch = T::one() + self.values[STRETCH];
+        let thickness = T::one() + self.values[THICKNESS_STRETCH];
         [along * stretch, across * thickness + stretch * self.bulge(row, layer)]
     }
 
     /// The same after it: positive twist takes the trailing edge down.
-    fn turn(&self, [a, b]: [f64; 2]) -> [f64; 2] {
+    fn turn(&self, [a, b]: [T; 2]) -> [T; 2] {
         [self.cos * a + self.sin * b, self.cos * b - self.sin * a]
     }
 }
@@ -287,9 +289,9 @@ impl FreeForm {
     }
 
     /// The vector with components along e and n of a frame.
-    fn in_space(&self, frame: &Frame, [a, b]: [f64; 2]) -> Vector3 {
-        let [ex, ez] = frame.direction;
-        let mut v = Vector3::zeros();
+    fn in_space<T: Scalar>(&self, frame: &Frame, [a, b]: [T; 2]) -> nalgebra::Vector3<T> {
+        let [ex, ez] = frame.direction.map(convert::<f64, T>);
+        let mut v = nalgebra::Vector3::zeros();
         v[self.axes.chord] = a * ex - b * ez;
         v[self.axes.thickness] = a * ez + b * ex;
         v
@@ -303,33 +305,35 @@ impl FreeForm {
     }
 
     /// All slots of all sections.
-    fn quantities(&self, design: &[f64]) -> Vec<f64> {
-        let mut values = vec![0.0; self.slots() * self.frames.len()];
+    fn quantities<T: Scalar>(&self, design: &[T]) -> Vec<T> {
+        let mut values = vec![T::zero(); self.slots() * self.frames.len()];
         for f in &self.influences {
-            values[f.slot] += (design[f.variable] - f.baseline) * f.weight;
+            values[f.slot] += (design[f.variable] - convert(f.baseline)) * convert(f.weight);
         }
         values
     }
 
     /// B* - B0, exactly zero at the baseline.
-    pub(crate) fn lattice_displacement(&self, design: &[f64]) -> Vec<Vector3> {
+    pub(crate) fn lattice_displacement<T: Scalar>(&self, design: &[T]) -> Vec<nalgebra::Vector3<T>> {
         let quantities = self.quantities(design);
-        let sections: Vec<Turned<'_>> = quantities
+        let sections: Vec<Turned<'_, T>> = quantities
             .chunks_exact(self.slots())
             .map(|values| Turned::new(values, self.along.len()))
             .collect();
-        let mut lattice = vec![Vector3::zeros(); self.along.len() * self.frames.len() * self.across.len()];
+        let count = self.along.len() * self.frames.len() * self.across.len();
+        let mut lattice = vec![nalgebra::Vector3::zeros(); count];
         self.each(|index, i, k, j| {
             let (section, frame) = (&sections[k], &self.frames[k]);
             let [a, b] = section.turn(section.flat(i, self.along[i], self.across[j], self.layer[j]));
-            let step = [a - self.along[i], b - self.across[j]].map(|d| d * frame.chord);
+            let from_rest = [a - convert(self.along[i]), b - convert(self.across[j])];
+            let step = from_rest.map(|d| d * convert(frame.chord));
             lattice[index] =
-                Vector3::from_column_slice(&section.values[SHIFT..TWIST]) + self.in_space(frame, step);
+                nalgebra::Vector3::from_column_slice(&section.values[SHIFT..TWIST]) + self.in_space(frame, step);
         });
         lattice
     }
 
-    pub(crate) fn eval(&self, design: &[f64], points: &mut [Vector3]) {
+    pub(crate) fn eval<T: Scalar>(&self, design: &[T], points: &mut [nalgebra::Vector3<T>]) {
         let lattice = self.lattice_displacement(design);
         for (step, &target) in self.interpolate(&lattice).zip(&self.targets) {
             shift(&mut points[target], step);
@@ -338,7 +342,7 @@ impl FreeForm {
 
     pub(crate) fn jvp(&self, design: &[f64], direction: &[f64], tangents: &mut [Vector3]) {
         let quantities = self.quantities(design);
-        let sections: Vec<Turned<'_>> = quantities
+        let sections: Vec<Turned<'_, f64>> = quantities
             .chunks_exact(self.slots())
             .map(|values| Turned::new(values, self.along.len()))
             .collect();
@@ -368,7 +372,7 @@ impl FreeForm {
 
     pub(crate) fn vjp(&self, design: &[f64], seeds: &[Vector3], gradient: &mut [f64]) {
         let quantities = self.quantities(design);
-        let sections: Vec<Turned<'_>> = quantities
+        let sections: Vec<Turned<'_, f64>> = quantities
             .chunks_exact(self.slots())
             .map(|values| Turned::new(values, self.along.len()))
             .collect();
@@ -403,14 +407,17 @@ impl FreeForm {
     }
 
     /// The lattice's field at each target.
-    fn interpolate<'a>(&'a self, lattice: &'a [Vector3]) -> impl Iterator<Item = Vector3> + 'a {
+    fn interpolate<'a, T: Scalar>(
+        &'a self,
+        lattice: &'a [nalgebra::Vector3<T>],
+    ) -> impl Iterator<Item = nalgebra::Vector3<T>> + 'a {
         self.offsets.windows(2).zip(&self.on_plane).map(move |(w, &on_plane)| {
-            let mut sum = Vector3::zeros();
+            let mut sum = nalgebra::Vector3::zeros();
             for &(index, weight) in &self.weights[w[0]..w[1]] {
-                sum += lattice[index as usize] * weight;
+                sum += lattice[index as usize] * convert::<f64, T>(weight);
             }
             if on_plane {
-                sum[self.axes.span] = 0.0;
+                sum[self.axes.span] = T::zero();
             }
             sum
         })

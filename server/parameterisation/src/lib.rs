@@ -48,6 +48,6 @@ pub use declaration::{
     SweepRule, TranslationDeclaration, VariableDeclaration,
 };
 pub use error::{DesignError, ParameterisationError};
-pub use parameterisation::{ControlPoints, Lattice, Linearisation, Override, Parameterisation};
+pub use parameterisation::{ControlPoints, Lattice, Linearisation, Override, Parameterisation, Scalar};
 pub use unit::{Dimension, Unit};
 pub use variables::{Group, Variable};

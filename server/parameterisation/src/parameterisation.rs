@@ -4,6 +4,7 @@ use std::collections::HashMap;
 use std::ops::Range;
 
 use moldline_spline::Vector3;
+use nalgebra::{RealField, convert};
 
 use crate::compile::{Compiled, compile};
 use crate::declaration::{ComponentReference, OperationDeclaration, VariableDeclaration};
@@ -18,12 +19,19 @@ use crate::{DesignError, ParameterisationError};
 /// Cartesian control points, m: per component, in the order of its reference.
 pub type ControlPoints = Vec<Vec<[f64; 3]>>;
 
-/// Adds where there is something to add, so that a vanishing step keeps the bits (-0.0 included).
-pub(crate) fn shift(point: &mut Vector3, step: Vector3) {
+/// What the map can be evaluated in: `f64`, and numbers that carry derivatives along with a value of that precision.
+pub trait Scalar: RealField + Copy {}
+
+impl<T: RealField + Copy> Scalar for T {}
+
+/// Adds, so that a vanishing step keeps the bits (-0.0 included).
+pub(crate) fn shift<T: Scalar>(point: &mut nalgebra::Vector3<T>, step: nalgebra::Vector3<T>) {
     for axis in 0..3 {
-        if step[axis] != 0.0 {
-            point[axis] += step[axis];
-        }
+        let (at, by) = (point[axis], step[axis]);
+        // A number that carries derivatives compares by its value, but has something to add all the same: -0.0 is kept by
+        // the order of signs, not by leaving the sum out.
+        let keeps_sign = by == T::zero() && at.is_sign_negative();
+        point[axis] = if keeps_sign { -(-at - by) } else { at + by };
     }
 }
 
@@ -197,11 +205,7 @@ impl Parameterisation {
     /// A design of the wrong length, with NaN or infinity, or with a factor that is not positive.
     pub fn control_points(&self, design: &[f64]) -> Result<ControlPoints, DesignError> {
         self.check(design)?;
-        let mut points = self.reference.clone();
-        for operation in &self.operations {
-            operation.eval(design, &mut points);
-        }
-        Ok(self.split(&points))
+        self.control_points_in(design)
     }
 
     /// As [`Self::control_points`], with some components' control points replaced by given ones; the other components
@@ -274,7 +278,23 @@ impl Parameterisation {
             .collect())
     }
 
-    fn split(&self, points: &[Vector3]) -> ControlPoints {
+    /// As [`Self::control_points`] in numbers of another kind, such as dual numbers: the same operations in the same order,
+    /// so that what such numbers carry along is that of the map. Bounds and signs are not looked at.
+    ///
+    /// # Errors
+    /// [`DesignError::Length`].
+    pub fn control_points_in<T: Scalar>(&self, design: &[T]) -> Result<Vec<Vec<[T; 3]>>, DesignError> {
+        if design.len() != self.variables.len() {
+            return Err(DesignError::Length { expected: self.variables.len(), found: design.len() });
+        }
+        let mut points: Vec<_> = self.reference.iter().map(|p| p.map(convert::<f64, T>)).collect();
+        for operation in &self.operations {
+            operation.eval(design, &mut points);
+        }
+        Ok(self.split(&points))
+    }
+
+    fn split<T: Scalar>(&self, points: &[nalgebra::Vector3<T>]) -> Vec<Vec<[T; 3]>> {
         self.ranges.iter().map(|range| points[range.clone()].iter().map(|&p| p.into()).collect()).collect()
     }
 }
@@ -334,7 +354,7 @@ fn expect_length(what: impl FnOnce() -> String, found: usize, expected: usize) -
 }
 
 impl Operation {
-    fn eval(&self, design: &[f64], points: &mut [Vector3]) {
+    fn eval<T: Scalar>(&self, design: &[T], points: &mut [nalgebra::Vector3<T>]) {
         match self {
             Self::FreeForm(o) => o.eval(design, points),
             Self::Planform(o) => o.eval(design, points),

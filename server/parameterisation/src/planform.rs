@@ -10,8 +10,9 @@
 //! [`SweepRule::Kept`]: crate::SweepRule::Kept
 
 use moldline_spline::Vector3;
+use nalgebra::convert;
 
-use crate::{channel::Relative, parameterisation::shift};
+use crate::{Scalar, channel::Relative, parameterisation::shift};
 
 #[derive(Clone, Debug)]
 pub(crate) struct Planform {
@@ -33,31 +34,31 @@ pub(crate) struct PlanformTarget {
 
 impl Planform {
     /// r and q.
-    fn ratios(&self, design: &[f64]) -> (f64, f64) {
-        let ratio = |variable: &Option<Relative>| variable.as_ref().map_or(1.0, |v| v.value(design));
+    fn ratios<T: Scalar>(&self, design: &[T]) -> (T, T) {
+        let ratio = |variable: &Option<Relative>| variable.as_ref().map_or(T::one(), |v| v.value(design));
         (ratio(&self.area), ratio(&self.aspect_ratio))
     }
 
     /// f and g.
-    fn factors(&self, design: &[f64]) -> (f64, f64) {
+    fn factors<T: Scalar>(&self, design: &[T]) -> (T, T) {
         let (r, q) = self.ratios(design);
         ((r * q).sqrt(), (r / q).sqrt())
     }
 
     /// One factor per coordinate: `span` along the span axis, `chord` along the others.
-    fn diagonal(&self, span: f64, chord: f64) -> Vector3 {
-        let mut diagonal = Vector3::repeat(chord);
+    fn diagonal<T: Scalar>(&self, span: T, chord: T) -> nalgebra::Vector3<T> {
+        let mut diagonal = nalgebra::Vector3::repeat(chord);
         diagonal[self.span] = span;
         diagonal
     }
 
-    pub(crate) fn eval(&self, design: &[f64], points: &mut [Vector3]) {
+    pub(crate) fn eval<T: Scalar>(&self, design: &[T], points: &mut [nalgebra::Vector3<T>]) {
         let (f, g) = self.factors(design);
-        let growth = self.diagonal(f - 1.0, g - 1.0);
+        let growth = self.diagonal(f - T::one(), g - T::one());
         let pivot = points[self.pivot];
         for t in &self.targets {
-            let step =
-                growth.component_mul(&(points[t.point] - pivot - t.axis_offset)) + t.axis_offset * (f - 1.0);
+            let offset = t.axis_offset.map(convert::<f64, T>);
+            let step = growth.component_mul(&(points[t.point] - pivot - offset)) + offset * (f - T::one());
             shift(&mut points[t.point], step);
         }
     }

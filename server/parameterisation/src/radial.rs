@@ -3,8 +3,9 @@
 //! the scaling stays radial when the body has been moved or turned.
 
 use moldline_spline::Vector3;
+use nalgebra::convert;
 
-use crate::{channel::Relative, parameterisation::shift};
+use crate::{Scalar, channel::Relative, parameterisation::shift};
 
 #[derive(Clone, Debug)]
 pub(crate) struct RadialScale {
@@ -38,10 +39,10 @@ fn smooth_step(t: f64) -> f64 {
 }
 
 impl RadialScale {
-    pub(crate) fn eval(&self, design: &[f64], points: &mut [Vector3]) {
-        let growth = self.ratio.value(design) - 1.0;
+    pub(crate) fn eval<T: Scalar>(&self, design: &[T], points: &mut [nalgebra::Vector3<T>]) {
+        let growth = self.ratio.value(design) - T::one();
         for t in &self.targets {
-            let step = (points[t.point] - points[t.centre]) * (growth * t.taper);
+            let step = (points[t.point] - points[t.centre]) * (growth * convert(t.taper));
             shift(&mut points[t.point], step);
         }
     }

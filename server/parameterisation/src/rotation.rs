@@ -2,9 +2,9 @@
 //! x' = x + T (x - P), T = R - I = sin(a) K + (1 - cos(a)) K^2, K v = k x v.
 
 use moldline_spline::Vector3;
-use nalgebra::Matrix3;
+use nalgebra::{Matrix3, convert};
 
-use crate::{channel::Additive, parameterisation::shift};
+use crate::{Scalar, channel::Additive, parameterisation::shift};
 
 #[derive(Clone, Debug)]
 pub(crate) struct Rotation {
@@ -18,15 +18,16 @@ pub(crate) struct Rotation {
 
 impl Rotation {
     /// T and dT/da.
-    fn turn(&self, design: &[f64]) -> (Matrix3<f64>, Matrix3<f64>) {
-        let (sin, cos) = self.angle.value(design, 0).sin_cos();
-        let half = (0.5 * self.angle.value(design, 0)).sin();
+    fn turn<T: Scalar>(&self, design: &[T]) -> (Matrix3<T>, Matrix3<T>) {
+        let angle = self.angle.value(design, 0);
+        let (sin, cos) = angle.sin_cos();
+        let half = (convert::<f64, T>(0.5) * angle).sin();
         let k = self.axis.cross_matrix();
-        let k2 = k * k;
-        (k * sin + k2 * (2.0 * half * half), k * cos + k2 * sin)
+        let (k, k2) = (k.map(convert::<f64, T>), (k * k).map(convert::<f64, T>));
+        (k * sin + k2 * (convert::<f64, T>(2.0) * half * half), k * cos + k2 * sin)
     }
 
-    pub(crate) fn eval(&self, design: &[f64], points: &mut [Vector3]) {
+    pub(crate) fn eval<T: Scalar>(&self, design: &[T], points: &mut [nalgebra::Vector3<T>]) {
         let (turn, _) = self.turn(design);
         let pivot = points[self.pivot];
         for &i in &self.targets {

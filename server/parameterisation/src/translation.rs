@@ -1,8 +1,9 @@
 //! Translation: x' = x + a d, with the unit direction d and the length a.
 
 use moldline_spline::Vector3;
+use nalgebra::convert;
 
-use crate::{channel::Additive, parameterisation::shift};
+use crate::{Scalar, channel::Additive, parameterisation::shift};
 
 #[derive(Clone, Debug)]
 pub(crate) struct Translation {
@@ -12,8 +13,8 @@ pub(crate) struct Translation {
 }
 
 impl Translation {
-    pub(crate) fn eval(&self, design: &[f64], points: &mut [Vector3]) {
-        let step = self.direction * self.length.value(design, 0);
+    pub(crate) fn eval<T: Scalar>(&self, design: &[T], points: &mut [nalgebra::Vector3<T>]) {
+        let step = self.direction.map(convert::<f64, T>) * self.length.value(design, 0);
         for &i in &self.targets {
             shift(&mut points[i], step);
         }

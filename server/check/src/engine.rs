@@ -1,0 +1,37 @@
+//! The engine's own linearisation as the one that is checked.
+
+use moldline_deform::{DeformError, Linearisation, Tangent};
+
+use crate::{Stages, check::{Linear, Outputs}};
+
+impl Linear for Linearisation {
+    fn outputs(&self) -> Outputs {
+        Outputs { vertices: self.deformation().vertices.clone(), functions: Vec::new() }
+    }
+
+    fn jvp(&self, directions: &[Vec<f64>]) -> Result<Vec<Outputs>, DeformError> {
+        let tangents = Self::jvp(self, directions)?;
+        Ok(tangents.into_iter().map(|t| Outputs { vertices: t.vertices, functions: Vec::new() }).collect())
+    }
+
+    fn vjp(&self, seeds: &[Outputs]) -> Result<Vec<Vec<f64>>, DeformError> {
+        let seeds: Vec<Tangent> = seeds.iter().map(|s| Tangent { vertices: s.vertices.clone() }).collect();
+        Ok(Self::vjp(self, &seeds)?.into_iter().map(|gradient| gradient.design).collect())
+    }
+
+    fn stages(&self, direction: &[f64]) -> Result<Stages, DeformError> {
+        let design = self.design().ok_or(DeformError::NoDesign)?;
+        let map = self.setup().parameterisation().linearise(design)?;
+        let control_points = map.jvp(&[direction])?.swap_remove(0);
+        let stages = Self::stages(self, &control_points)?;
+        Ok(Stages {
+            control_points,
+            seam_positions: stages.seam_positions,
+            seam_parameters: stages.seam_parameters,
+            motions: stages.motions,
+            displacements: stages.displacements,
+            placed: stages.placed,
+            vertices: stages.vertices,
+        })
+    }
+}

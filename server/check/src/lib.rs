@@ -1,0 +1,61 @@
+//! Checks of the derivatives: an independent evaluation of the whole chain in dual numbers, central differences, and the
+//! dot-product test.
+//!
+//! [`Chain`] evaluates what [`moldline_deform::Setup::deform`] evaluates in dual numbers. Of the engine it takes what is
+//! discrete (patches, features, sides, training sets, charts) and the converged values to start from. What is continuous it
+//! evaluates anew: splines from the recurrence, implicit steps by Newton's method in dual arithmetic, radial basis
+//! functions by LU decomposition of the saddle-point matrix.
+//!
+//! Absent on purpose: files, and anything that only a check would need in the engine.
+
+mod body;
+mod chain;
+mod chart;
+mod check;
+mod differences;
+mod dual;
+mod engine;
+mod field;
+mod random;
+mod seam;
+mod spline;
+
+pub use chain::{Chain, Evaluation, Stages};
+pub use check::{
+    CheckOptions, DesignCheck, Difference, DotProduct, Function, Linear, Outputs, Phase, Step, VariableCheck, Watch,
+    check_design, designs, largest, range,
+};
+pub use differences::{Derivative, central_difference, norm, relative_error};
+
+/// Why a check cannot be carried out.
+#[derive(Debug, thiserror::Error)]
+pub enum CheckError {
+    /// The engine refuses the design, or does not find the mesh.
+    #[error(transparent)]
+    Deform(#[from] moldline_deform::DeformError),
+    /// A seam point is not where its line goes.
+    #[error("the seam point of vertex {vertex} is {distance:.1e} m away from the line that it is searched along")]
+    Line {
+        /// Index into the mesh.
+        vertex: u32,
+        /// Least distance of the line, m.
+        distance: f64,
+    },
+    /// The dual evaluation does not find a vertex.
+    #[error("the evaluation in dual numbers does not find a place for vertex {vertex}")]
+    Vertex {
+        /// Index into the mesh.
+        vertex: u32,
+    },
+    /// No far design has a mesh.
+    #[error(
+        "none of {attempts} random designs far from the baseline has a mesh; the last one: {last}. Narrow the bounds, or \
+         give a design"
+    )]
+    NoDesign {
+        /// How many were tried.
+        attempts: usize,
+        /// Why the last one has none.
+        last: Box<moldline_deform::DeformError>,
+    },
+}
