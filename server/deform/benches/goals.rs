@@ -19,6 +19,8 @@ use serde_json::{Value, json};
 
 type Failure = Box<dyn std::error::Error>;
 
+/// The set-up measured.
+const SETUP_FILE: &str = "setup-motions.toml";
 /// Points of the closest-point benchmark, and of the interpolation.
 const POINTS: usize = 15_000;
 const CENTRES: usize = 1_500;
@@ -27,7 +29,7 @@ const CORNERS: [(f64, f64); 4] = [(5.0, 10.0), (5.0, -10.0), (-5.0, -10.0), (-5.
 
 fn main() -> Result<(), Failure> {
     let e175 = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples/e175");
-    let files = read_folder(&e175, &Limits::default())?.0;
+    let files = read_folder(&e175.join(SETUP_FILE), &Limits::default())?.0;
     let input = parse(&files)?;
     closest_points(&input)?;
     interpolation(&input)?;
@@ -48,17 +50,18 @@ fn main() -> Result<(), Failure> {
     threads_do_not_matter("smooth", &smooth)?;
 
     // With the 45 variables of Table 2.
-    for (name, input) in [
-        ("sharp", parse_file(&files, "setup.toml")?),
-        ("smooth", smoothed(parse_file(&files, "setup.toml")?)),
-    ] {
+    let table2 = read_setup(&read_folder(&e175, &Limits::default())?.0, None, &Limits::default())?.input;
+    for (name, input) in [("sharp", table2.clone()), ("smooth", smoothed(table2))] {
         differentiating(name, &Arc::new(Setup::build(input, &Silent)?))?;
     }
 
     if let Some(folder) = env::var_os("MOLDLINE_BENCH_LARGE") {
-        // The fine mesh with the example's set-up file.
-        let mut fine = read_folder(&PathBuf::from(folder), &Limits::default())?.0;
-        fine.insert("setup-motions.toml".to_owned(), files["setup-motions.toml"].clone());
+        // The fine mesh and its geometry with the example's set-up file.
+        let folder = PathBuf::from(folder);
+        let read = |name: &String| fs::read(folder.join(name)).map(|bytes| (name.clone(), bytes));
+        let names = files.keys().filter(|name| *name != SETUP_FILE);
+        let mut fine: Files = names.map(read).collect::<Result<_, _>>()?;
+        fine.insert(SETUP_FILE.to_owned(), files[SETUP_FILE].clone());
         let (setup, seconds) = median_of(1, || Ok(Setup::build(parse(&fine)?, &Silent)?))?;
         tell("set-up, 100,000 cells", seconds, "s", "measured");
         let milliseconds = deforming("100,000 cells, sharp", "<= 1000", &setup)?;
@@ -71,11 +74,7 @@ fn main() -> Result<(), Failure> {
 }
 
 fn parse(files: &Files) -> Result<SetupInput, Failure> {
-    parse_file(files, "setup-motions.toml")
-}
-
-fn parse_file(files: &Files, name: &str) -> Result<SetupInput, Failure> {
-    Ok(read_setup(files, Some(name), &Limits::default())?.input)
+    Ok(read_setup(files, Some(SETUP_FILE), &Limits::default())?.input)
 }
 
 fn smoothed(mut input: SetupInput) -> SetupInput {
