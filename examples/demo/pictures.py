@@ -69,7 +69,7 @@ def draw(drawing: Drawing) -> None:
 
 def aircraft(mesh: moldline.Mesh, vertices: NDArray[np.float64], size: tuple[int, int] = (1440, 900)) -> Image.Image:
     """The whole aircraft, coloured by component."""
-    view = View((15.2, 0.0, 0.4), (-0.55, 0.58, 0.60), 19.0)
+    view = View((15.6, 0.0, 1.9), (-0.55, 0.58, 0.60), 20.5)
     return mesh_image(mesh, vertices, PALETTE[mesh.cell_owner % len(PALETTE)], view, size)
 
 

@@ -5,6 +5,8 @@ use moldline_mesh::MeshError;
 use moldline_parameterisation::{DesignError, ParameterisationError};
 use thiserror::Error;
 
+use crate::held::Hold;
+
 /// How many offenders an error lists by index.
 pub const LISTED: usize = 20;
 
@@ -143,6 +145,56 @@ pub enum SetupError {
         /// |n . S_a| / |S_a| of the best line.
         transversality: f64,
     },
+    /// A seam vertex that cannot follow its seam.
+    #[error(
+        "mesh: seam vertex {vertex} on `{reference}` and `{target}` is held on `{holder}` (a corner or pole of it, or a \
+         protected group), so that it cannot follow the seam; take it out of `protected_groups`, or let the seam pass \
+         beside the corner"
+    )]
+    HeldSeam {
+        /// Index of the vertex.
+        vertex: u32,
+        /// One component.
+        reference: String,
+        /// The other.
+        target: String,
+        /// The component that it is held on.
+        holder: String,
+    },
+    /// The search line ends at the seam.
+    #[error(
+        "mesh: seam vertex {vertex}: the search line on `{reference}` to `{target}` ends at the vertex, so that the seam \
+         could not move that way; let `{reference}` go on beyond the seam"
+    )]
+    SeamAtEnd {
+        /// Index of the vertex.
+        vertex: u32,
+        /// The component that carries the line.
+        reference: String,
+        /// The component to be met.
+        target: String,
+    },
+    /// The search line does not change sides at the seam.
+    #[error(
+        "mesh: seam vertex {vertex}: the search line on `{reference}` crosses `{target}` at an angle (sine \
+         {transversality:.1e}), but lies {} it both {near:.1e} m before and behind the vertex: `{target}` is thinner or \
+         more strongly curved than that there; make it thicker, or leave it out",
+        if *inside { "inside" } else { "outside" }
+    )]
+    SeamSides {
+        /// Index of the vertex.
+        vertex: u32,
+        /// The component that carries the line.
+        reference: String,
+        /// The component to be met.
+        target: String,
+        /// |n . S_a| / |S_a| of the line.
+        transversality: f64,
+        /// How far from the vertex was looked, m.
+        near: f64,
+        /// Whether it is inside the target on both sides.
+        inside: bool,
+    },
     /// The seam search does not reproduce the reference mesh.
     #[error("the reference seams cannot be reproduced: {0}")]
     ReferenceSeam(Box<DeformError>),
@@ -151,6 +203,14 @@ pub enum SetupError {
     Factorisation {
         /// Which field.
         field: String,
+        /// What is wrong.
+        reason: String,
+    },
+    /// An output is declared wrongly.
+    #[error("output `{name}`: {reason}")]
+    Output {
+        /// Its name.
+        name: String,
         /// What is wrong.
         reason: String,
     },
@@ -184,6 +244,22 @@ pub enum DeformError {
         /// The first ones, with their distance to the target where the search ended.
         worst: Vec<VertexDistance>,
     },
+    /// A held vertex is off its component.
+    #[error(
+        "{count} {hold} vertices are farther than {tolerance:.1e} m from their components ({}{}): the components have \
+         moved away from them; hold only what stays on its component (and keep the components symmetric where the \
+         mesh is)", list(worst), if *count > worst.len() { ", ..." } else { "" }
+    )]
+    Held {
+        /// What holds them.
+        hold: Hold,
+        /// How many vertices.
+        count: usize,
+        /// The tolerance, m.
+        tolerance: f64,
+        /// The first ones, with their distance.
+        worst: Vec<VertexDistance>,
+    },
     /// The projection did not converge.
     #[error(
         "the projection onto the smooth outer mold line left {count} vertices off it after {steps} steps ({}{}); \
@@ -212,13 +288,15 @@ pub enum DeformError {
         worst: Vec<VertexDistance>,
     },
     /// A seed of the adjoint does not fit the set-up.
-    #[error("seeds[{index}] has {found} vertices, the mesh has {expected}")]
+    #[error("seeds[{index}] has {found} {what}, the set-up has {expected}")]
     SeedSize {
         /// Which seed.
         index: usize,
-        /// Its number of vertices.
+        /// Vertices or functions.
+        what: &'static str,
+        /// How many it has.
         found: usize,
-        /// That of the mesh.
+        /// How many the set-up has.
         expected: usize,
     },
     /// Derivatives by design variables were asked for where there is no design.

@@ -81,15 +81,6 @@ impl Inspection {
             .collect()
     }
 
-    /// Measures of every cell.
-    pub fn cells(&self, vertices: &[[f64; 3]], cells: &[Cell], normals: &[Vector3]) -> Vec<CellQuality> {
-        cells
-            .par_iter()
-            .zip(normals)
-            .map(|(cell, normal)| CellQuality::of_cell(vertices, cell, normal))
-            .collect()
-    }
-
     /// The report; `None` for a mesh without cells.
     pub fn report(&self, cells: &[CellQuality], owners: &[u32]) -> Option<QualityReport> {
         QualityReport::new(cells, owners, &self.names)

@@ -12,10 +12,12 @@
 pub mod chart;
 mod error;
 pub mod field;
+mod held;
 pub mod inspection;
 mod linearisation;
 mod monitor;
 mod options;
+pub mod outputs;
 pub mod ownership;
 mod pipeline;
 pub mod projection;
@@ -28,10 +30,12 @@ mod setup;
 pub mod training;
 
 pub use error::{DeformError, SetupError, VertexDistance};
+pub use held::Hold;
 pub use linearisation::{Gradient, Linearisation, Stages, Tangent};
 pub use moldline_geometry::Location;
 pub use monitor::{Monitor, Silent, Stage};
 pub use options::{Options, OuterMoldLine, Propagation, SeamOptions, SmoothingOptions};
+pub use outputs::{ComponentPoint, Function, OutputDeclaration};
 pub use pipeline::Deformation;
 pub use rbf::Kernel;
 pub use report::{ComponentSummary, FieldSummary, ProtectedSummary, SetupReport, Symmetry};

@@ -16,6 +16,7 @@ use rayon::prelude::*;
 
 use crate::{
     DeformError, Deformation, Monitor, Propagation, Setup,
+    outputs::{Measured, OutputsDerivative},
     pipeline::{Placed, Rule, State},
     projection::Step,
     seam_derivative::{SeamChange, SeamDerivative},
@@ -32,6 +33,8 @@ const PARTS: usize = 8;
 pub struct Tangent {
     /// Of the mesh's vertices, m (seeds: per m).
     pub vertices: Vec<[f64; 3]>,
+    /// Of the scalar outputs, in their units, in the order of [`Setup::functions`].
+    pub functions: Vec<f64>,
 }
 
 /// The gradient of one seed's product with the outputs.
@@ -74,6 +77,7 @@ pub struct Linearisation {
     placements: Vec<Placement>,
     rounds: Vec<Vec<Projection>>,
     steps: Vec<(u32, Vec<Step>)>,
+    outputs: OutputsDerivative,
 }
 
 /// The derivative of one seam vertex's motion in the terms of a field.
@@ -149,11 +153,17 @@ impl Setup {
         let projection = |p: &Placed| Projection { aim: p.aim, location: p.location };
         let rounds = state.placed[1..].iter().map(|round| round.iter().map(projection).collect()).collect();
         // The searches' trees are not needed any more.
-        let bodies = state
+        let bodies: Vec<Body> = state
             .bodies
             .iter()
             .map(|b| Body::new(b.component().clone(), b.control_points().to_vec()))
             .collect();
+        let outputs = self.outputs.linearise(Measured {
+            cells: &self.mesh.cells,
+            owners: &self.ownership.cell_owner,
+            vertices: &deformation.vertices,
+            bodies: &bodies,
+        });
         Ok(Linearisation {
             setup: self.clone(),
             design: None,
@@ -164,6 +174,7 @@ impl Setup {
             placements,
             rounds,
             steps: state.steps,
+            outputs,
         })
     }
 
@@ -275,6 +286,7 @@ impl Linearisation {
             + self.placements.len() * size_of::<Placement>()
             + rounds
             + steps
+            + self.outputs.bytes()
             + deformation
     }
 
@@ -305,11 +317,17 @@ impl Linearisation {
     /// `J^T w` for each of the `seeds`.
     ///
     /// # Errors
-    /// [`DeformError::SeedSize`] if a seed does not have the mesh's vertices.
+    /// [`DeformError::SeedSize`] if a seed does not have the mesh's vertices and the set-up's functions.
     pub fn vjp(&self, seeds: &[Tangent]) -> Result<Vec<Gradient>, DeformError> {
-        let expected = self.placements.len();
-        if let Some(index) = seeds.iter().position(|seed| seed.vertices.len() != expected) {
-            return Err(DeformError::SeedSize { index, found: seeds[index].vertices.len(), expected });
+        let refuse = |index, what, found, expected| DeformError::SeedSize { index, what, found, expected };
+        let (vertices, functions) = (self.placements.len(), self.deformation.functions.len());
+        for (index, seed) in seeds.iter().enumerate() {
+            if seed.vertices.len() != vertices {
+                return Err(refuse(index, "vertices", seed.vertices.len(), vertices));
+            }
+            if seed.functions.len() != functions {
+                return Err(refuse(index, "functions", seed.functions.len(), functions));
+            }
         }
         let parameterisation =
             self.design.as_ref().map(|d| self.setup.parameterisation.linearise(d)).transpose()?;
@@ -406,10 +424,12 @@ impl Linearisation {
         let placed = self.place_jvp(&values, &seams, &control_points);
         let mut vertices = self.smooth_jvp(placed, &control_points);
         self.project_jvp(&mut vertices, &control_points);
+        let functions = self.outputs.jvp(&vertices, &control_points);
         (0..directions.len())
             .into_par_iter()
             .map(|d| Tangent {
                 vertices: (0..self.placements.len()).map(|v| vertices.vector(v, d).into()).collect(),
+                functions: (0..self.deformation.functions.len()).map(|f| functions.row(f)[d]).collect(),
             })
             .collect()
     }
@@ -423,6 +443,11 @@ impl Linearisation {
             }
         }
         let mut control_points = self.no_control_points(k);
+        let mut functions = Block::zeros(self.deformation.functions.len(), k);
+        for (d, seed) in seeds.iter().enumerate() {
+            seed.functions.iter().enumerate().for_each(|(f, s)| functions.row_mut(f)[d] = *s);
+        }
+        self.outputs.vjp(&functions, &mut vertices, &mut control_points);
         self.project_vjp(&mut vertices, &mut control_points);
         let vertices = self.smooth_vjp(vertices, &mut control_points);
         let mut seams = self.seams.zeros(k);
@@ -756,10 +781,7 @@ impl Linearisation {
     // Smoothing.
 
     fn smooth_jvp(&self, mut vertices: Block, control_points: &[Block]) -> Block {
-        if self.rounds.is_empty() {
-            return vertices;
-        }
-        let laplacian = self.setup.laplacian();
+        let Some(laplacian) = &self.setup.laplacian else { return vertices };
         let relaxation = self.setup.options.smoothing.relaxation;
         for round in &self.rounds {
             let aims = by_direction(&vertices, |x, out| laplacian.smooth(relaxation, x, out));
@@ -776,10 +798,7 @@ impl Linearisation {
     }
 
     fn smooth_vjp(&self, mut vertices: Block, control_points: &mut [Block]) -> Block {
-        if self.rounds.is_empty() {
-            return vertices;
-        }
-        let laplacian = self.setup.laplacian();
+        let Some(laplacian) = &self.setup.laplacian else { return vertices };
         let relaxation = self.setup.options.smoothing.relaxation;
         for round in self.rounds.iter().rev() {
             let aims = self.gather(self.placements.len(), control_points, |range, control_points| {

@@ -66,6 +66,11 @@ impl Ownership {
         self.of(vertex).len() > 1
     }
 
+    /// Whether a vertex may move all over one component.
+    pub fn is_free(&self, vertex: u32) -> bool {
+        matches!(self.of(vertex), [only] if only.freedom == Freedom::Surface)
+    }
+
     /// Number of vertices.
     pub fn vertex_count(&self) -> usize {
         self.offsets.len() - 1

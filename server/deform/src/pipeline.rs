@@ -3,7 +3,7 @@
 //! design -> control points -> seam points -> training data -> field -> vertices on their components -> outer mold line.
 
 use moldline_geometry::{Block, Body, Feature, FootPoint, Location, block::add_vector};
-use moldline_mesh::{CellQuality, Laplacian, QualityReport};
+use moldline_mesh::{CellQuality, QualityReport, quality};
 use moldline_parameterisation::ControlPoints;
 use moldline_spline::Vector3;
 use rayon::prelude::*;
@@ -12,6 +12,7 @@ use crate::{
     DeformError, Monitor, OuterMoldLine, Propagation, Setup, Stage,
     chart::Chart,
     error::{LISTED, VertexDistance},
+    outputs::Measured,
     ownership::{Attachment, Freedom},
     projection::{Projected, SmoothProjection, Step},
     seam::SeamPoint,
@@ -23,6 +24,8 @@ use crate::{
 pub struct Deformation {
     /// All vertices, m, in the order of the set-up's mesh.
     pub vertices: Vec<[f64; 3]>,
+    /// Values of the scalar outputs, in the order of [`Setup::functions`].
+    pub functions: Vec<f64>,
     /// Parameters of each vertex on its first owner (for `Smooth`: before the projection onto the fillet).
     pub locations: Vec<Location>,
     /// Quality of the mesh against the deformed components.
@@ -31,6 +34,8 @@ pub struct Deformation {
     pub cell_quality: Vec<CellQuality>,
     /// Largest distance of a seam vertex from one of its components before the smooth projection, m.
     pub seam_residual: f64,
+    /// Largest distance of a protected or stationary vertex from a component that it lies on, m.
+    pub held_residual: f64,
     /// Largest `|Phi|` of an active vertex at the end, m; zero for `Sharp`.
     pub projection_residual: f64,
     /// Most projection steps that a vertex took.
@@ -114,19 +119,24 @@ impl Setup {
         go_on(Stage::Quality)?;
         let locations: Vec<Location> = last.iter().map(|p| p.location).collect();
         let vertices: Vec<[f64; 3]> = positions.into_iter().map(Into::into).collect();
+        let held_residual = self.held_residual(&vertices, &bodies)?;
         let owners = &self.ownership.cell_owner;
         let normals = self.inspection.normals(&self.mesh.cells, owners, &vertices, &locations, &bodies);
-        let cell_quality = self.inspection.cells(&vertices, &self.mesh.cells, &normals);
+        let cell_quality = quality::evaluate(&vertices, &self.mesh.cells, &normals);
         // A set-up has cells, so that there is a report.
-        let quality =
+        let summary =
             self.inspection.report(&cell_quality, owners).unwrap_or_else(|| self.report().quality.clone());
         monitor.progress(Stage::Quality, 1.0);
+        let measured = Measured { cells: &self.mesh.cells, owners, vertices: &vertices, bodies: &bodies };
+        let functions = self.outputs.eval(measured);
         let deformation = Deformation {
             vertices,
+            functions,
             locations,
-            quality,
+            quality: summary,
             cell_quality,
             seam_residual: seams.iter().map(|p| p.residual).fold(0.0, f64::max),
+            held_residual,
             projection_residual: residual,
             projection_steps: steps.iter().map(|(_, steps)| steps.len()).max().unwrap_or(0),
         };
@@ -291,10 +301,7 @@ impl Setup {
     fn smooth(&self, vertices: Vec<Placed>, bodies: &[Body]) -> Result<Vec<Vec<Placed>>, DeformError> {
         let options = &self.options.smoothing;
         let mut all = vec![vertices];
-        if options.rounds == 0 {
-            return Ok(all);
-        }
-        let laplacian = self.laplacian();
+        let Some(laplacian) = &self.laplacian else { return Ok(all) };
         let mut smoothed = vec![[0.0; 3]; self.positions.len()];
         for round in 0..options.rounds {
             let vertices = &all[round];
@@ -321,15 +328,9 @@ impl Setup {
         Ok(all)
     }
 
-    /// The smoothing matrix; vertices that smoothing must not move have rows of the identity.
-    pub(crate) fn laplacian(&self) -> Laplacian {
-        Laplacian::uniform(&self.topology, |v| !self.may_smooth(v))
-    }
-
     /// Whether smoothing moves a vertex.
     pub(crate) fn may_smooth(&self, v: u32) -> bool {
-        !self.stationary[v as usize]
-            && matches!(self.ownership.of(v), [only] if only.freedom == Freedom::Surface)
+        !self.stationary[v as usize] && self.ownership.is_free(v)
     }
 
     /// Step F for the smooth outer mold line: vertices that nothing protects onto the zero set of `Phi`. The second value

@@ -1,8 +1,8 @@
 //! Radial basis functions with an affine term (eq. 16 and 17 of the paper): factorised once, then solved and evaluated.
 //!
 //! The interpolant is `d(x) = sum_j psi(|x - c_j|) w_j + A^T p(x)`, `p = [1, x]`, with `P^T w = 0`. Both kernels are
-//! conditionally positive definite (linear: `psi = -r`, order 1; cubic: `psi = r^3`, order 2; Wendland, Scattered Data
-//! Approximation, sec. 8.1), so with `P = Q [R; 0]` the block `(Q^T Psi Q)_22` is positive definite and Cholesky
+//! conditionally positive definite (linear: `psi = -sqrt(r^2 + c^2)` with a small c, order 1; cubic: `psi = r^3`, order 2;
+//! Wendland, Scattered Data Approximation, sec. 8.1), so with `P = Q [R; 0]` the block `(Q^T Psi Q)_22` is positive definite and Cholesky
 //! applies. The saddle-point matrix is symmetric: the same factor serves the adjoint.
 
 use faer::{
@@ -18,7 +18,8 @@ use rayon::prelude::*;
 /// Radial function.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Kernel {
-    /// `psi(r) = -r`: between data the field keeps to their range, at the price of a cone at each centre.
+    /// `psi(r) = -sqrt(r^2 + c^2)`: between data the field keeps nearly to their range. c is small ([`ROUNDING`]): it rounds
+    /// the cones that `-r` has at the centres, which turn cells over at the end of a seam.
     Linear,
     /// `psi(r) = r^3`: twice continuously differentiable, follows trends beyond the data.
     Cubic,
@@ -34,9 +35,9 @@ pub enum RbfError {
         centres: usize,
     },
     /// Two centres coincide, or nearly so.
-    #[error("centre {centre} coincides with another one (non-positive pivot)")]
+    #[error("centre {centre} coincides with another one, or is too near to it")]
     Coincident {
-        /// Index of the pivot's centre, as ordered by the elimination.
+        /// Its index; where the factorisation finds it, that of the pivot.
         centre: usize,
     },
 }
@@ -51,6 +52,12 @@ const PANEL: usize = 256;
 const FEW: usize = 3;
 /// Columns solved by one task.
 const COLUMNS: usize = 16;
+/// c of the linear kernel, as a fraction of the extent of the centres ...
+pub const ROUNDING: f64 = 0.002;
+/// ... but not more than this many times the least distance between centres, which keeps the matrix well conditioned.
+const ROUNDING_OVER_SEPARATION: f64 = 4.0;
+/// Distance below which centres are the same, as a fraction of their extent.
+const COINCIDENT: f64 = 1e-12;
 /// Dimension of the affine space.
 const AFFINE: usize = 4;
 
@@ -58,6 +65,8 @@ const AFFINE: usize = 4;
 #[derive(Clone, Debug)]
 pub struct RadialBasis {
     kernel: Kernel,
+    /// c^2 of the linear kernel, scaled.
+    rounding: f64,
     /// Moves and scales the centres into the unit box.
     origin: Vector3,
     scale: f64,
@@ -138,10 +147,24 @@ impl RadialBasis {
         let (reflectors, triangle) = orthogonalise(&scaled).ok_or_else(planar)?;
 
         let mut matrix = Mat::<f64>::zeros(count, count);
+        let mut least = f64::INFINITY;
+        for j in 0..count {
+            for i in j + 1..count {
+                let squared = (scaled[i] - scaled[j]).norm_squared();
+                least = least.min(squared);
+                matrix[(i, j)] = squared;
+            }
+        }
+        if least <= COINCIDENT * COINCIDENT {
+            let twin = |i: &usize| (0..*i).any(|j| (scaled[*i] - scaled[j]).norm() <= COINCIDENT);
+            let centre = (1..count).find(twin).unwrap_or(0);
+            return Err(RbfError::Coincident { centre });
+        }
+        let rounding = (ROUNDING * ROUNDING).min(ROUNDING_OVER_SEPARATION * ROUNDING_OVER_SEPARATION * least);
         let mut total = 0.0;
         for j in 0..count {
             for i in j + 1..count {
-                let value = psi(kernel, (scaled[i] - scaled[j]).norm());
+                let value = psi(kernel, rounding, matrix[(i, j)]);
                 total += value.abs();
                 matrix[(i, j)] = value;
                 matrix[(j, i)] = value;
@@ -149,7 +172,7 @@ impl RadialBasis {
         }
         let mean = total / (0.5 * (count * (count - 1)) as f64);
         for i in 0..count {
-            matrix[(i, i)] = regularisation * mean;
+            matrix[(i, i)] = psi(kernel, rounding, 0.0) + regularisation * mean;
         }
         reflect_both_sides(&mut matrix, &reflectors);
         let top = matrix.get(..AFFINE, ..).to_owned();
@@ -169,12 +192,18 @@ impl RadialBasis {
         .map_err(|llt::factor::LltError::NonPositivePivot { index }| RbfError::Coincident {
             centre: index + AFFINE,
         })?;
-        Ok(Self { kernel, origin, scale, centres: Cloud::new(&scaled), reflectors, triangle, top, factor })
+        let centres = Cloud::new(&scaled);
+        Ok(Self { kernel, rounding, origin, scale, centres, reflectors, triangle, top, factor })
     }
 
     /// Number of centres.
     pub fn centre_count(&self) -> usize {
         self.centres.count
+    }
+
+    /// c^2 of the linear kernel, in units of the extent of the centres.
+    pub fn rounding(&self) -> f64 {
+        self.rounding
     }
 
     /// Bytes held, for budgets.
@@ -331,24 +360,24 @@ impl RadialBasis {
         if columns == 0 {
             return;
         }
+        let rounding = self.rounding;
+        // Matched here, so that the loops inside have no branch.
         match self.kernel {
-            Kernel::Linear => {
-                tiled(
-                    targets,
-                    sources,
-                    weights,
-                    out,
-                    #[inline(always)]
-                    |squared: f64| -squared.sqrt(),
-                );
-            }
+            Kernel::Linear => tiled(
+                targets,
+                sources,
+                weights,
+                out,
+                #[inline(always)]
+                |squared| psi(Kernel::Linear, rounding, squared),
+            ),
             Kernel::Cubic => tiled(
                 targets,
                 sources,
                 weights,
                 out,
                 #[inline(always)]
-                |squared: f64| squared * squared.sqrt(),
+                |squared| psi(Kernel::Cubic, 0.0, squared),
             ),
         }
     }
@@ -459,10 +488,12 @@ fn kernel_panel(
     }
 }
 
-fn psi(kernel: Kernel, r: f64) -> f64 {
+/// The kernel by r^2, with `rounding` = c^2.
+#[inline(always)]
+fn psi(kernel: Kernel, rounding: f64, squared: f64) -> f64 {
     match kernel {
-        Kernel::Linear => -r,
-        Kernel::Cubic => r * r * r,
+        Kernel::Linear => -(squared + rounding).sqrt(),
+        Kernel::Cubic => squared * squared.sqrt(),
     }
 }
 
@@ -599,6 +630,37 @@ mod tests {
         }
     }
 
+    /// SciPy 1.17: `RBFInterpolator(c, d, kernel="multiquadric", epsilon=1/0.02, degree=1)`, 0.02 being c for these centres.
+    #[test]
+    fn linear_is_rounded_as_a_multiquadric_is() {
+        let centres = [
+            [0.0, 0.0, 0.0],
+            [10.0, 0.0, 0.0],
+            [0.0, 4.0, 0.0],
+            [0.0, 0.0, 3.0],
+            [10.0, 4.0, 3.0],
+            [5.0, 2.0, 1.0],
+            [5.0, 2.05, 1.0],
+            [2.0, 3.0, 2.5],
+            [7.0, 1.0, 0.5],
+        ]
+        .map(Vector3::from);
+        let data: Vec<Vector3> = (0..9)
+            .map(|i| Vector3::new(f64::from(i).sin(), f64::from(2 * i).cos(), f64::from(i * i % 5)))
+            .collect();
+        let points = [[5.0, 2.01, 1.005], [3.0, 1.0, 2.0], [12.0, -1.0, 0.5]].map(Vector3::from);
+        let expected = [
+            [-0.8437161631113225, -0.545992727626138, 0.1714953055246908],
+            [-0.1828866161836063, 0.0020732151699347, 1.9551067453418252],
+            [0.40993477891222, -0.4014301668440798, -0.0932814998178346],
+        ];
+        let basis = RadialBasis::new(Kernel::Linear, &centres, 0.0).unwrap();
+        let out = basis.evaluate(&basis.fit(&block(&data)), &points);
+        for (i, expected) in expected.into_iter().enumerate() {
+            assert!((out.vector(i, 0) - Vector3::from(expected)).norm() < 1e-11, "{expected:?}");
+        }
+    }
+
     #[test]
     fn solves_the_saddle_point_system() {
         let centres = scattered(37, 4);
@@ -612,8 +674,9 @@ mod tests {
         for axis in 0..3 {
             let w = solution.weights_of(axis);
             for i in 0..37 {
-                let radial: f64 =
-                    (0..37).map(|j| psi(Kernel::Cubic, (scaled[i] - scaled[j]).norm()) * w[j]).sum();
+                let radial: f64 = (0..37)
+                    .map(|j| psi(Kernel::Cubic, 0.0, (scaled[i] - scaled[j]).norm_squared()) * w[j])
+                    .sum();
                 let p = [1.0, scaled[i].x, scaled[i].y, scaled[i].z];
                 let affine: f64 = (0..AFFINE).map(|k| p[k] * solution.affine.row(k)[axis]).sum();
                 assert!((radial + affine - data.row(i)[axis]).abs() < rounding(&solution));
@@ -647,7 +710,9 @@ mod tests {
         );
         let mut twice = scattered(20, 7);
         twice.push(twice[3]);
-        assert!(matches!(RadialBasis::new(Kernel::Cubic, &twice, 0.0), Err(RbfError::Coincident { .. })));
+        for kernel in [Kernel::Linear, Kernel::Cubic] {
+            assert!(matches!(RadialBasis::new(kernel, &twice, 0.0), Err(RbfError::Coincident { .. })));
+        }
     }
 
     #[test]

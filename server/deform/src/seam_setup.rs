@@ -166,16 +166,33 @@ fn row_lines(
                 (0..choices.len()).fold(0, |best, k| if scores[k] > scores[best] { k } else { best });
             let k = if scores[best_of_row] > SHALLOW { best_of_row } else { own_best };
             let name = |c: u32| bodies[c as usize].component().name().to_owned();
-            let tangent = || SetupError::TangentSeam {
-                vertex,
-                reference: name(a),
-                target: name(b),
-                transversality: scores[k].max(0.0),
-            };
-            if scores[k] <= TANGENT {
-                return Err(tangent());
+            if let Some(holder) = ownership.of(vertex).iter().find(|o| o.freedom == Freedom::Fixed) {
+                let holder = name(holder.component);
+                return Err(SetupError::HeldSeam { vertex, reference: name(a), target: name(b), holder });
             }
-            let line = line(vertex, choices[k], ownership, bodies).ok_or_else(tangent)?;
+            if scores[k] <= TANGENT {
+                return Err(SetupError::TangentSeam {
+                    vertex,
+                    reference: name(a),
+                    target: name(b),
+                    transversality: scores[k].max(0.0),
+                });
+            }
+            let reference = choices[k].component;
+            let target = if reference == a { b } else { a };
+            let line = line(vertex, choices[k], target, ownership, bodies).map_err(|fault| match fault {
+                LineFault::End => {
+                    SetupError::SeamAtEnd { vertex, reference: name(reference), target: name(target) }
+                }
+                LineFault::Sides { near, inside } => SetupError::SeamSides {
+                    vertex,
+                    reference: name(reference),
+                    target: name(target),
+                    transversality: scores[k],
+                    near,
+                    inside,
+                },
+            })?;
             Ok((line, scores[k]))
         })
         .collect()
@@ -235,18 +252,35 @@ fn parameter_direction(choice: Choice, own: &Attachment, other: &Attachment, bod
     }
 }
 
+/// Why a line cannot be searched though it crosses its target at an angle.
+enum LineFault {
+    /// It ends at the vertex.
+    End,
+    /// Both sides of the vertex, so many metres away, are inside the target, or both outside.
+    Sides { near: f64, inside: bool },
+}
+
 /// The line of a vertex with its bracket: from half way to the next root below to half way to the next root above, or
 /// to the end of the component.
-fn line(vertex: u32, choice: Choice, ownership: &Ownership, bodies: &[Body]) -> Option<SeamLine> {
-    let own = ownership.on(vertex, choice.component)?;
+fn line(
+    vertex: u32,
+    choice: Choice,
+    target: u32,
+    ownership: &Ownership,
+    bodies: &[Body],
+) -> Result<SeamLine, LineFault> {
+    // A row's vertices lie on both of its components.
+    let (Some(own), Some(other)) = (ownership.on(vertex, choice.component), ownership.on(vertex, target))
+    else {
+        return Err(LineFault::End);
+    };
     let start = own.location;
     let body = &bodies[choice.component as usize];
-    let other = ownership.of(vertex).iter().find(|o| o.component != choice.component)?;
     let direction = parameter_direction(choice, own, other, bodies);
     let step = 1.0 / SAMPLES;
     let at = |lambda: f64| along(body, &start, direction, lambda);
-    let target = &bodies[other.component as usize];
-    let inside = |lambda: f64| target.signed_distance(&body.position(&at(lambda))) < 0.0;
+    let body_to_meet = &bodies[target as usize];
+    let inside = |lambda: f64| body_to_meet.signed_distance(&body.position(&at(lambda))) < 0.0;
 
     // Lengths to the end of the component, to the bracket's end, and the side of the target that lies there.
     let scan = |sign: f64| {
@@ -269,7 +303,14 @@ fn line(vertex: u32, choice: Choice, ownership: &Ownership, bodies: &[Body]) -> 
     };
     let (below, length_below, bracket_below) = scan(-1.0);
     let (above, length_above, bracket_above) = scan(1.0);
-    (below != above && length_below > 0.0 && length_above > 0.0).then(|| SeamLine {
+    if !(length_below > 0.0 && length_above > 0.0) {
+        return Err(LineFault::End);
+    }
+    if below == above {
+        let near = (body.position(&at(0.01 * step)) - body.position(&start)).norm();
+        return Err(LineFault::Sides { near, inside: below });
+    }
+    Ok(SeamLine {
         reference: choice.component,
         start,
         direction,
@@ -403,5 +444,63 @@ fn junction_summary(junctions: &[u32], ownership: &Ownership, bodies: &[Body]) -
         direction: "u, v",
         transversality: f64::NAN,
         bracket: [f64::NAN; 2],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use moldline_geometry::{Component, Primitive};
+    use moldline_mesh::{Cell, Topology};
+    use moldline_spline::Vector3;
+
+    use super::*;
+    use crate::Silent;
+
+    /// Two cells, one on the upper face z = 0 of a block, one on the front x = 0 of a plate of the given thickness that
+    /// stands in it.
+    fn plate_in_a_block(thickness: f64) -> Result<(SeamSolver, Vec<SeamSummary>), SetupError> {
+        let corner = Vector3::new;
+        let block = Primitive::Box { low: corner(-8.0, -8.0, -4.0), high: corner(8.0, 8.0, 0.0) };
+        let plate = Primitive::Box { low: corner(0.0, -2.0, -2.0), high: corner(thickness, 2.0, 2.0) };
+        let bodies: Vec<Body> = [("block", block), ("plate", plate)]
+            .iter()
+            .map(|(name, primitive)| {
+                let (component, points) = Component::primitive((*name).into(), primitive).unwrap();
+                Body::new(Arc::new(component), points)
+            })
+            .collect();
+        let vertices = [
+            [-1.0, 0.0, 0.0],
+            [-1.0, 1.0, 0.0],
+            [0.0, 0.0, 0.0],
+            [0.0, 1.0, 0.0],
+            [0.0, 0.0, 1.0],
+            [0.0, 1.0, 1.0],
+        ];
+        let cells = [Cell::quad(0, 2, 3, 1), Cell::quad(2, 4, 5, 3)];
+        let ownership = Ownership::find(&vertices, &cells, &bodies, 1e-9, &Silent)?;
+        let topology = Topology::of_cells(vertices.len(), &cells);
+        seam_solver(&ownership, &topology, &vertices, &bodies, SeamOptions::default(), 4.0, &Silent)
+    }
+
+    #[test]
+    fn lines_cross_the_plate_straight() {
+        let (solver, summaries) = plate_in_a_block(1.0).unwrap();
+        assert_eq!(solver.vertices.len(), 2);
+        assert_eq!(summaries[0].components, ["block", "plate"]);
+        assert!((summaries[0].transversality - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn a_plate_too_thin_for_its_line_is_named() {
+        let error = plate_in_a_block(1e-3).unwrap_err();
+        let SetupError::SeamSides { vertex, reference, target, transversality, near, inside } = &error else {
+            panic!("{error}")
+        };
+        assert_eq!((*vertex, reference.as_str(), target.as_str(), *inside), (2, "block", "plate", false));
+        assert!((transversality - 1.0).abs() < 1e-12 && *near > 1e-3, "{error}");
+        assert!(error.to_string().contains("`plate` is thinner"), "{error}");
     }
 }

@@ -4,7 +4,8 @@ use std::sync::Arc;
 
 use moldline_geometry::{Aabb, Body, Component, Location, SmoothUnion};
 use moldline_mesh::{
-    MeshError, Plane, SurfaceMesh, Topology, area_vector, symmetry::pair_vertices, topology::enclosed_volume,
+    Laplacian, MeshError, Plane, SurfaceMesh, Topology, area_vector, quality, symmetry::pair_vertices,
+    topology::enclosed_volume,
 };
 use moldline_parameterisation::Parameterisation;
 use moldline_spline::Vector3;
@@ -15,6 +16,7 @@ use crate::{
     chart::Chart,
     field::{Field, Mirror},
     inspection::Inspection,
+    outputs::{Function, OutputDeclaration, Outputs},
     ownership::{Freedom, Ownership},
     report::{ComponentSummary, FieldSummary, ProtectedSummary, SetupReport, Symmetry},
     seam::SeamSolver,
@@ -31,6 +33,8 @@ pub struct SetupInput {
     pub mesh: SurfaceMesh,
     /// Design variables to control points.
     pub parameterisation: Parameterisation,
+    /// Scalar outputs besides those that every set-up has.
+    pub outputs: Vec<OutputDeclaration>,
     /// Choices.
     pub options: Options,
 }
@@ -73,7 +77,6 @@ impl RegionField {
 pub struct Setup {
     pub(crate) options: Options,
     pub(crate) mesh: SurfaceMesh,
-    pub(crate) topology: Topology,
     pub(crate) components: Vec<Arc<Component>>,
     /// The components in the reference state.
     pub(crate) reference: Vec<Body>,
@@ -87,9 +90,12 @@ pub struct Setup {
     pub(crate) in_plane: Vec<bool>,
     /// Vertices that stay where they are in space.
     pub(crate) stationary: Vec<bool>,
+    /// Of the vertices that smoothing moves; `None` without smoothing.
+    pub(crate) laplacian: Option<Laplacian>,
     pub(crate) inspection: Inspection,
     pub(crate) length: f64,
     pub(crate) union: SmoothUnion,
+    pub(crate) outputs: Outputs,
     report: SetupReport,
 }
 
@@ -99,7 +105,7 @@ impl Setup {
     /// # Errors
     /// [`SetupError`] if the mesh does not fit the components, an option is out of range, and so on.
     pub fn build(input: SetupInput, monitor: &dyn Monitor) -> Result<Self, SetupError> {
-        let SetupInput { components, mesh, parameterisation, options } = input;
+        let SetupInput { components, mesh, parameterisation, outputs, options } = input;
         options.validate()?;
         let names: Vec<String> = components.iter().map(|c| c.name().to_owned()).collect();
         check_names(&names, &options, &mesh)?;
@@ -165,14 +171,16 @@ impl Setup {
         .build(monitor)?;
 
         monitor.progress(Stage::Report, 0.0);
+        let origin = if half_plane.is_some() { Vector3::zeros() } else { positions[0] };
+        let outputs = Outputs::new(&outputs, &components, origin)?;
         let inspection = Inspection::new(&mesh, &ownership, &reference);
         let union = SmoothUnion::from_fillet(options.fillet.unwrap_or(5e-4 * length));
         let locations: Vec<Location> =
             (0..mesh.vertices.len() as u32).map(|v| ownership.of(v)[0].location).collect();
         let owners = &ownership.cell_owner;
         let normals = inspection.normals(&mesh.cells, owners, &mesh.vertices, &locations, &reference);
-        let cells = inspection.cells(&mesh.vertices, &mesh.cells, &normals);
-        let quality = inspection.report(&cells, owners).ok_or(MeshError::Empty { what: "cells" })?;
+        let cells = quality::evaluate(&mesh.vertices, &mesh.cells, &normals);
+        let summary = inspection.report(&cells, owners).ok_or(MeshError::Empty { what: "cells" })?;
         let (against_normal, least_normal_agreement) =
             mesh.cells.iter().zip(&normals).fold((0, 1.0_f64), |(against, least), (cell, normal)| {
                 let area = area_vector(&mesh.vertices, cell);
@@ -209,13 +217,14 @@ impl Setup {
             fields: fields.iter().map(|f| f.summary(&names)).collect(),
             rho: union.rho,
             options: options.clone(),
-            quality,
+            quality: summary,
         };
         monitor.progress(Stage::Report, 1.0);
+        let laplacian = (options.smoothing.rounds > 0)
+            .then(|| Laplacian::uniform(&topology, |v| stationary[v as usize] || !ownership.is_free(v)));
         Ok(Self {
             options,
             mesh,
-            topology,
             components,
             reference,
             positions,
@@ -225,9 +234,11 @@ impl Setup {
             fields,
             in_plane,
             stationary,
+            laplacian,
             inspection,
             length,
             union,
+            outputs,
             report,
         })
     }
@@ -265,6 +276,11 @@ impl Setup {
     /// Vertices on several components.
     pub fn seam_vertices(&self) -> impl ExactSizeIterator<Item = u32> + '_ {
         self.seams.vertices.iter().map(|s| s.vertex)
+    }
+
+    /// The scalar outputs, in the order of their values.
+    pub fn functions(&self) -> &[Function] {
+        self.outputs.functions()
     }
 
     /// Where every vertex lies.

@@ -1,7 +1,7 @@
 //! Quality measures of a mesh of 16,384 quadrilaterals, on one thread and on all.
 
 use criterion::{Criterion, criterion_group, criterion_main};
-use moldline_mesh::{Cell, CellQuality, QualityReport, Vector3, area_vector, quality::evaluate};
+use moldline_mesh::{Cell, QualityReport, Vector3, area_vector, quality::evaluate};
 
 const SIDE: u32 = 128;
 
@@ -19,12 +19,12 @@ fn quality(criterion: &mut Criterion) {
     let normals: Vec<Vector3> = cells.iter().map(|cell| area_vector(&vertices, cell).normalize()).collect();
     let owner: Vec<u32> = (0..cells.len() as u32).map(|cell| cell % 3).collect();
     let names = ["fuselage", "wing", "tail"].map(str::to_owned);
-    let mut measured = vec![CellQuality::of_cell(&vertices, &cells[0], &normals[0]); cells.len()];
+    let measured = evaluate(&vertices, &cells, &normals);
 
     for threads in [1, 2] {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a thread pool");
         criterion.bench_function(&format!("quality/evaluate/16384/threads_{threads}"), |bencher| {
-            pool.install(|| bencher.iter(|| evaluate(&vertices, &cells, &normals, &mut measured)));
+            pool.install(|| bencher.iter(|| evaluate(&vertices, &cells, &normals)));
         });
         criterion.bench_function(&format!("quality/report/16384/threads_{threads}"), |bencher| {
             pool.install(|| bencher.iter(|| QualityReport::new(&measured, &owner, &names)));

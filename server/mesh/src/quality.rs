@@ -13,6 +13,9 @@ pub const BAD_ASPECT_RATIO: f64 = 5.0;
 /// Value of a ratio whose denominator vanishes; the largest ratio there is.
 pub const DEGENERATE: f64 = 1e30;
 
+/// Cells that one task measures at least.
+const MIN_CELLS: usize = 512;
+
 /// The measures of one cell. A cell with a coordinate that is not finite gets the worst values.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CellQuality {
@@ -35,21 +38,16 @@ pub struct CellQuality {
     pub folded: bool,
 }
 
-/// Evaluates all cells into `out`, on rayon's current pool.
+/// Measures of all cells, on rayon's current pool.
 ///
 /// `normals`: unit outward normal of the owner's surface, in its current state, one per cell.
 ///
 /// # Panics
 /// If the slices' lengths differ, or a cell names no vertex.
-pub fn evaluate(vertices: &[[f64; 3]], cells: &[Cell], normals: &[Vector3], out: &mut [CellQuality]) {
-    const CHUNK: usize = 1024;
-    assert!(cells.len() == normals.len() && cells.len() == out.len(), "one normal and one result per cell");
-    let chunks = cells.par_chunks(CHUNK).zip(normals.par_chunks(CHUNK)).zip(out.par_chunks_mut(CHUNK));
-    chunks.for_each(|((cells, normals), out)| {
-        for ((cell, normal), out) in cells.iter().zip(normals).zip(out) {
-            *out = CellQuality::of_cell(vertices, cell, normal);
-        }
-    });
+pub fn evaluate(vertices: &[[f64; 3]], cells: &[Cell], normals: &[Vector3]) -> Vec<CellQuality> {
+    assert_eq!(cells.len(), normals.len(), "one normal per cell");
+    let measured = cells.par_iter().zip(normals).with_min_len(MIN_CELLS);
+    measured.map(|(cell, normal)| CellQuality::of_cell(vertices, cell, normal)).collect()
 }
 
 impl CellQuality {

@@ -129,8 +129,7 @@ fn report_is_by_component_and_alike_for_any_number_of_threads() {
     let reports = [1, 2, 3].map(|threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
-            let mut out = vec![CellQuality::of_cell(&vertices, &cells[0], &normals[0]); cells.len()];
-            evaluate(&vertices, &cells, &normals, &mut out);
+            let out = evaluate(&vertices, &cells, &normals);
             (out.clone(), QualityReport::new(&out, &owner, &names).unwrap())
         })
     });

@@ -154,6 +154,7 @@ fn report(setup: &Setup, design: &[f64], deformation: &Deformation) -> serde_jso
         "quality": moldline_setup::quality_json(&deformation.quality),
         "reference_quality": moldline_setup::quality_json(&setup.report().quality),
         "seam_residual": deformation.seam_residual,
+        "held_residual": deformation.held_residual,
         "projection_residual": deformation.projection_residual,
         "projection_steps": deformation.projection_steps,
     })

@@ -61,7 +61,10 @@ impl From<SetupError> for ServiceError {
                 Some(cell) => format!("mesh.cells[{cell}]"),
                 None => "mesh.cells".to_owned(),
             },
-            SetupError::TangentSeam { vertex, .. } => format!("mesh.vertices[{vertex}]"),
+            SetupError::TangentSeam { vertex, .. }
+            | SetupError::HeldSeam { vertex, .. }
+            | SetupError::SeamAtEnd { vertex, .. }
+            | SetupError::SeamSides { vertex, .. } => format!("mesh.vertices[{vertex}]"),
             SetupError::OpenMesh { .. } | SetupError::NonManifold { .. } | SetupError::ReferenceSeam(_) => {
                 "mesh".to_owned()
             }
@@ -116,6 +119,7 @@ impl From<DeformError> for ServiceError {
             DeformError::ControlPoints(_) => Self::invalid("control_points", text),
             DeformError::SeamLost { .. }
             | DeformError::NotProjected { .. }
+            | DeformError::Held { .. }
             | DeformError::FootPoint { .. } => Self::new(Code::FailedPrecondition, "").at("design", text),
         }
     }

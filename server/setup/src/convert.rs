@@ -15,6 +15,7 @@ use crate::document::{
     SectionDocument, SweepDocument, UnitDocument, VariableDocument,
 };
 use crate::files::{Files, Limits, clean_path, find_setup_file, names};
+use crate::outputs::output;
 use crate::parse::{parse_geometry, parse_setup};
 use crate::{SetupFileError, document};
 
@@ -69,10 +70,14 @@ pub fn read_setup(
     let variables: Vec<_> = document.parameterisation.variables.into_iter().map(variable).collect();
     let operations: Vec<_> = document.parameterisation.operations.into_iter().map(operation).collect();
     let parameterisation = Parameterisation::new(&references, &variables, &operations)?;
+    too_many("outputs", "outputs", document.outputs.len(), limits.components)?;
+    let outputs = document.outputs.into_iter().enumerate();
+    let outputs =
+        outputs.map(|(index, document)| output(index, document, &components)).collect::<Result<_, _>>()?;
     let options = document.options.to_options();
     Ok(SetupContent {
         name: if document.name.is_empty() { setup_file } else { document.name },
-        input: SetupInput { components, mesh, parameterisation, options },
+        input: SetupInput { components, mesh, parameterisation, outputs, options },
         files: reader.used,
     })
 }

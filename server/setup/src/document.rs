@@ -7,6 +7,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use crate::options::{OptionsDocument, SeamDocument, SmoothingDocument};
+pub use crate::outputs::{LineDocument, OutputDocument, WeightedPointDocument};
 
 /// `setup.toml` or `setup.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -25,6 +26,9 @@ pub struct SetupDocument {
     /// Design variables and operations; without it the control points are given directly.
     #[serde(default)]
     pub parameterisation: ParameterisationDocument,
+    /// Scalar outputs besides those that every set-up has.
+    #[serde(default)]
+    pub outputs: Vec<OutputDocument>,
     /// Choices of the engine; each has a default.
     #[serde(default)]
     pub options: OptionsDocument,

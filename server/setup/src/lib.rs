@@ -12,6 +12,7 @@ pub mod document;
 mod error;
 mod files;
 mod options;
+mod outputs;
 mod parse;
 mod report;
 mod schema;

@@ -31,9 +31,11 @@ impl Random {
         low + (high - low) * ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
     }
 
-    fn tangent(&mut self, vertices: usize) -> Tangent {
+    fn seed(&mut self, setup: &Setup) -> Tangent {
+        let mut next = || self.between(-1.0, 1.0);
         Tangent {
-            vertices: (0..vertices).map(|_| std::array::from_fn(|_| self.between(-1.0, 1.0))).collect(),
+            vertices: setup.mesh().vertices.iter().map(|_| std::array::from_fn(|_| next())).collect(),
+            functions: setup.functions().iter().map(|_| next()).collect(),
         }
     }
 }
@@ -53,6 +55,10 @@ fn dot(a: &[[f64; 3]], b: &[[f64; 3]]) -> f64 {
     a.iter().flatten().zip(b.iter().flatten()).map(|(a, b)| a * b).sum()
 }
 
+fn dot_all(a: &Tangent, b: &Tangent) -> f64 {
+    dot(&a.vertices, &b.vertices) + a.functions.iter().zip(&b.functions).map(|(a, b)| a * b).sum::<f64>()
+}
+
 /// Relative error of `J v` against the best of a few fourth-order central differences.
 fn against_differences(linearisation: &Linearisation, direction: &[f64], range: f64) -> f64 {
     let setup = linearisation.setup();
@@ -61,22 +67,25 @@ fn against_differences(linearisation: &Linearisation, direction: &[f64], range: 
     let at = |t: f64| {
         let design: Vec<f64> = design.iter().zip(direction).map(|(x, d)| x + t * d).collect();
         let control_points = setup.parameterisation().control_points(&design).unwrap();
-        setup.deform_control_points(&control_points, &Silent).unwrap().vertices
+        let deformation = setup.deform_control_points(&control_points, &Silent).unwrap();
+        (deformation.vertices, deformation.functions)
     };
     let size = dot(&tangent.vertices, &tangent.vertices).sqrt();
     [1e-3, 1e-4]
         .map(|step| {
             let h = step * range;
             let [a, b, c, d] = [-2.0, -1.0, 1.0, 2.0].map(|k| at(k * h));
-            let error = (0..a.len()).map(|v| {
+            let slope = |x: [f64; 4]| (x[0] - x[3] + 8.0 * (x[2] - x[1])) / (12.0 * h);
+            let error = (0..a.0.len()).map(|v| {
                 (0..3)
-                    .map(|k| {
-                        let slope = (a[v][k] - d[v][k] + 8.0 * (c[v][k] - b[v][k])) / (12.0 * h);
-                        (slope - tangent.vertices[v][k]).powi(2)
-                    })
+                    .map(|k| (slope([&a, &b, &c, &d].map(|x| x.0[v][k])) - tangent.vertices[v][k]).powi(2))
                     .sum::<f64>()
             });
-            error.sum::<f64>().sqrt() / size
+            let of_functions = (0..a.1.len()).map(|f| {
+                let scale = tangent.functions[f].abs().max(1e-3 * a.1[f].abs() / range).max(1e-6);
+                (slope([&a, &b, &c, &d].map(|x| x.1[f])) - tangent.functions[f]).abs() / scale
+            });
+            of_functions.fold(0.0, f64::max).max(error.sum::<f64>().sqrt() / size)
         })
         .into_iter()
         .fold(f64::INFINITY, f64::min)
@@ -85,19 +94,18 @@ fn against_differences(linearisation: &Linearisation, direction: &[f64], range: 
 /// Largest relative gap between `w . J v` and `J^T w . v`, in blocks of `k`.
 fn dot_product_gap(linearisation: &Linearisation, k: usize, random: &mut Random) -> f64 {
     let variables = linearisation.design().unwrap().len();
-    let vertices = linearisation.deformation().vertices.len();
+    let setup = linearisation.setup();
     let directions: Vec<Vec<f64>> =
         (0..k).map(|_| (0..variables).map(|_| random.between(-1.0, 1.0)).collect()).collect();
-    let seeds: Vec<Tangent> = (0..k).map(|_| random.tangent(vertices)).collect();
+    let seeds: Vec<Tangent> = (0..k).map(|_| random.seed(setup)).collect();
     let tangents = linearisation.jvp(&directions).unwrap();
     let gradients = linearisation.vjp(&seeds).unwrap();
     let mut worst: f64 = 0.0;
     for (direction, tangent) in directions.iter().zip(&tangents) {
         for (seed, gradient) in seeds.iter().zip(&gradients) {
-            let forward = dot(&seed.vertices, &tangent.vertices);
+            let forward = dot_all(seed, tangent);
             let backward: f64 = gradient.design.iter().zip(direction).map(|(a, b)| a * b).sum();
-            let scale =
-                (dot(&seed.vertices, &seed.vertices) * dot(&tangent.vertices, &tangent.vertices)).sqrt();
+            let scale = (dot_all(seed, seed) * dot_all(tangent, tangent)).sqrt();
             worst = worst.max((forward - backward).abs() / scale);
         }
     }
@@ -110,7 +118,9 @@ fn variants() -> Vec<(&'static str, fn(&mut Options))> {
         ("sharp", |_| {}),
         ("smooth", |o| o.outer_mold_line = OuterMoldLine::Smooth),
         ("smoothing", |o| {
+            // Gentle, or vertices of a leading edge are drawn to where the sheets are equally near.
             o.smoothing.rounds = 2;
+            o.smoothing.relaxation = 0.1;
             o.outer_mold_line = OuterMoldLine::Smooth;
         }),
         ("departure", |o| o.propagation = Propagation::Departure),
@@ -175,6 +185,49 @@ fn the_e175_has_exact_products_far_from_its_baseline() {
 }
 
 #[test]
+fn scalar_outputs_are_those_of_the_aircraft() {
+    let setup = setup("examples/e175", |_| {});
+    let design = setup.parameterisation().baseline();
+    let deformation = setup.deform(&design, &Silent).unwrap();
+    let value = |name: &str| {
+        let index = setup.functions().iter().position(|f| f.name == name);
+        deformation.functions[index.unwrap_or_else(|| panic!("{name}"))]
+    };
+    let near = |name: &str, expected: f64, tolerance: f64| {
+        let found = value(name);
+        assert!(
+            (found - expected).abs() <= tolerance * expected.abs(),
+            "{name} = {found}, expected {expected}"
+        );
+    };
+    let variable = |name: &str| design[setup.parameterisation().index(name).unwrap()];
+    // What the planform operations call area and aspect ratio (areas in square feet).
+    const SQUARE_FOOT: f64 = 0.3048 * 0.3048;
+    for component in ["wing", "htail"] {
+        let area = value(&format!("{component}.planform_area"));
+        let span = value(&format!("{component}.span"));
+        near(
+            &format!("{component}.planform_area"),
+            variable(&format!("{component}.area")) * SQUARE_FOOT,
+            1e-2,
+        );
+        let ratio = variable(&format!("{component}.aspect_ratio"));
+        assert!((span * span / area - ratio).abs() <= 1e-2 * ratio, "{component}: {span}, {area}");
+    }
+    near("enclosed_volume", setup.report().volume, 1e-12);
+    // The mesh's cells, measured without gradients.
+    let area: f64 = setup
+        .mesh()
+        .cells
+        .iter()
+        .zip(setup.cell_owner())
+        .filter(|(_, owner)| **owner == 1)
+        .map(|(cell, _)| moldline_mesh::area_vector(&deformation.vertices, cell).norm())
+        .sum();
+    near("wing.wetted_area", area, 1e-12);
+}
+
+#[test]
 fn control_points_are_inputs_too() {
     let setup = setup("tests/configurations/half", |o| o.outer_mold_line = OuterMoldLine::Smooth);
     let mut random = Random(5);
@@ -197,14 +250,14 @@ fn control_points_are_inputs_too() {
     }
 
     // The gradient by control points, contracted, is the gradient by design.
-    let seed = random.tangent(setup.mesh().vertices.len());
+    let seed = random.seed(&setup);
     let gradient = by_points.vjp(std::slice::from_ref(&seed)).unwrap().remove(0);
     assert!(gradient.design.is_empty());
     let contracted: f64 = gradient.control_points.iter().zip(&of_points[0]).map(|(g, t)| dot(g, t)).sum();
-    let forward = dot(&seed.vertices, &a[0].vertices);
+    let forward = dot_all(&seed, &a[0]);
     assert!((contracted - forward).abs() <= 1e-11 * forward.abs().max(1.0));
 
-    let short = Tangent { vertices: seed.vertices[1..].to_vec() };
+    let short = Tangent { vertices: seed.vertices[1..].to_vec(), ..seed.clone() };
     assert!(matches!(by_points.vjp(&[seed, short]), Err(DeformError::SeedSize { index: 1, .. })));
 }
 
@@ -217,7 +270,7 @@ fn products_do_not_depend_on_threads() {
         pool.install(|| {
             let linearisation = setup.linearise(&design, &Silent).unwrap();
             let mut random = Random(1);
-            let seeds: Vec<Tangent> = (0..3).map(|_| random.tangent(setup.mesh().vertices.len())).collect();
+            let seeds: Vec<Tangent> = (0..3).map(|_| random.seed(&setup)).collect();
             let directions: Vec<Vec<f64>> =
                 (0..5).map(|k| design.iter().map(|x| (x + k as f64).sin()).collect()).collect();
             (linearisation.jvp(&directions).unwrap(), linearisation.vjp(&seeds).unwrap())

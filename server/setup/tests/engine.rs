@@ -3,13 +3,15 @@
 // Helpers of tests fail by panicking, like the tests themselves.
 #![allow(clippy::unwrap_used)]
 
+use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use moldline_deform::{
-    DeformError, Deformation, Kernel, OuterMoldLine, Propagation, Setup, SetupError, Silent,
+    DeformError, Deformation, Hold, Kernel, OuterMoldLine, Propagation, Setup, SetupError, Silent,
     ownership::Freedom,
 };
 use moldline_geometry::{Body, Vector3};
+use moldline_mesh::Group;
 use moldline_setup::{Limits, SetupContent, read_folder, read_setup};
 
 fn repository() -> PathBuf {
@@ -90,6 +92,33 @@ fn the_hard_corners_keep_their_quality_on_both_outer_mold_lines() {
             assert!(total.aspect_ratio.p95 <= 1.9 && total.folded == 0, "{values:?}: {total:?}");
             assert!(total.aspect_ratio.above_5_percent <= 0.02, "{values:?}");
         }
+    }
+}
+
+/// Values of every scalar of some variables.
+fn all(setup: &Setup, values: &[(&str, f64)]) -> Vec<(String, f64)> {
+    let names = setup.parameterisation().variables().iter().map(|v| v.name.clone());
+    let of_group = |name: &str| values.iter().find(|(group, _)| name.split('[').next() == Some(*group));
+    names.filter_map(|name| of_group(&name).map(|(_, value)| (name.clone(), *value))).collect()
+}
+
+#[test]
+fn corners_of_table_2_where_wing_and_tail_nearly_leave_the_fuselage() {
+    let setup = build(content("examples/e175/setup.toml")).unwrap();
+    // The largest root chord at its largest twist and droop in the thinnest fuselage; the same forward; the tail's
+    // trailing edge as low and as far aft as it goes.
+    let tail = [("htail.area", 310.0), ("htail.aspect_ratio", 3.2), ("htail.rotation", 8.0)];
+    let wing = [("wing.twist", 5.0), ("wing.camber", -5.0), ("wing.area", 940.0), ("wing.aspect_ratio", 6.3)];
+    let aft = [&tail[..], &wing, &[("wing.translation", 16.4), ("fuselage.diameter", 7.4)]].concat();
+    let fore = [&tail[..], &wing, &[("wing.translation", -16.4), ("fuselage.diameter", 7.4)]].concat();
+    for values in [&tail[..], &aft, &fore] {
+        let values = all(&setup, values);
+        let values: Vec<(&str, f64)> = values.iter().map(|(name, value)| (name.as_str(), *value)).collect();
+        let result = deform(&setup, &values).unwrap();
+        let total = &result.quality.total;
+        assert_eq!((total.folded, total.inverted), (0, 0), "{values:?}");
+        assert!(total.aspect_ratio.above_5_percent <= 0.02, "{values:?}");
+        assert!(result.held_residual <= 1e-12 * setup.report().length, "{:e}", result.held_residual);
     }
 }
 
@@ -254,4 +283,85 @@ fn control_points_that_do_not_fit_are_refused() {
     nan[0][5][1] = f64::NAN;
     let error = setup.deform_control_points(&nan, &Silent).unwrap_err().to_string();
     assert!(error.contains("control_points[0][5][1] = NaN"), "{error}");
+}
+
+/// A group of the vertices that `contains` names, by their index and position.
+fn group(content: &mut SetupContent, name: &str, contains: impl Fn(usize, &[f64; 3]) -> bool) -> Vec<u32> {
+    let vertices = content.input.mesh.vertices.iter().enumerate();
+    let indices: Vec<u32> = vertices.filter(|&(i, x)| contains(i, x)).map(|(i, _)| i as u32).collect();
+    content.input.mesh.vertex_groups.push(Group { name: name.into(), indices: indices.clone() });
+    indices
+}
+
+#[test]
+fn stationary_vertices_that_their_component_leaves_are_named() {
+    let mut content = content("examples/e175/setup-motions.toml");
+    let tips = group(&mut content, "tips", |_, x| x[1].abs() > 11.9);
+    content.input.options.stationary_groups = vec!["tips".into()];
+    let setup = build(content).unwrap();
+    // The fuselage may change under wings that stay.
+    let result = deform(&setup, &[("fuselage.diameter_ratio", 1.2)]).unwrap();
+    for &v in &tips {
+        let [after, before] =
+            [&result.vertices, &setup.mesh().vertices].map(|x| Vector3::from(x[v as usize]));
+        assert!((after - before).norm() < 1e-11);
+    }
+    let error = deform(&setup, &[("wing.rotation", 1.0)]).unwrap_err();
+    let DeformError::Held { hold, count, worst, .. } = &error else { panic!("{error}") };
+    // The flat caps slide in their own plane: what lies inside them is still on the wing.
+    assert!(*hold == Hold::Stationary && *count > tips.len() / 2 && *count < tips.len(), "{error}");
+    assert!(tips.contains(&worst[0].vertex) && worst[0].distance > 1e-3, "{error}");
+}
+
+#[test]
+fn a_protected_vertex_on_a_seam_is_named() {
+    let mut content = content("examples/e175/setup-motions.toml");
+    let seam = build(content.clone()).unwrap().seam_vertices().nth(5).unwrap();
+    group(&mut content, "pin", |i, _| i == seam as usize);
+    content.input.options.protected_groups = vec!["pin".into()];
+    let error = build(content).unwrap_err();
+    let SetupError::HeldSeam { vertex, .. } = &error else { panic!("{error}") };
+    assert_eq!(*vertex, seam);
+}
+
+#[test]
+fn a_set_up_folder_may_hold_its_mesh_as_stl() {
+    let original = content("tests/configurations/boom");
+    let mesh = &original.input.mesh;
+    // ASCII, 17 digits: what a triangulation program writes, corners apart.
+    let mut stl = String::from("solid boom\n");
+    for cell in &mesh.cells {
+        stl += "facet normal 0 0 0\nouter loop\n";
+        for &v in cell.vertices() {
+            let [x, y, z] = mesh.vertices[v as usize];
+            writeln!(stl, "vertex {x:e} {y:e} {z:e}").unwrap();
+        }
+        stl += "endloop\nendfacet\n";
+    }
+    stl += "endsolid boom\n";
+    let source = repository().join("tests/configurations/boom");
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::create_dir(folder.path().join("geometry")).unwrap();
+    for name in ["wing", "boom", "fairing"] {
+        let file = format!("geometry/{name}.json");
+        std::fs::copy(source.join(&file), folder.path().join(&file)).unwrap();
+    }
+    std::fs::write(folder.path().join("mesh.stl"), stl).unwrap();
+    let text = std::fs::read_to_string(source.join("setup.toml")).unwrap();
+    assert!(text.contains("mesh.vtu"), "the folder itself holds a VTU file of triangles");
+    std::fs::write(folder.path().join("setup.toml"), text.replace("mesh.vtu", "mesh.stl")).unwrap();
+
+    let (files, setup_file) = read_folder(folder.path(), &Limits::default()).unwrap();
+    let read = read_setup(&files, Some(&setup_file), &Limits::default()).unwrap();
+    let (from_stl, from_vtu) = (build(read).unwrap(), build(original).unwrap());
+    let counts = |s: &Setup| (s.mesh().vertices.len(), s.report().triangles, s.report().euler);
+    assert_eq!(counts(&from_stl), counts(&from_vtu));
+    // The same mesh with its vertices in another order, so the same quality.
+    let values = [("boom.translation", -0.2)];
+    let [a, b] = [&from_stl, &from_vtu].map(|setup| deform(setup, &values).unwrap());
+    assert_eq!(a.quality.total.folded, 0);
+    let worst = largest_distance(&from_stl, &a, &bodies(&from_stl, &values));
+    assert!(worst <= 1e-12, "{worst:e} of the length");
+    let [p, q] = [a, b].map(|result| result.quality.total.aspect_ratio.p95);
+    assert!((p - q).abs() < 0.05, "{p} {q}");
 }

@@ -76,6 +76,8 @@ class Deformation:
     cell_quality: dict[str, NDArray[np.float64]] | None
     #: Largest distance of a seam vertex from one of its components before the smooth projection, metres.
     seam_residual: float
+    #: Largest distance of a protected or stationary vertex from a component that it lies on, metres.
+    held_residual: float
     #: Largest |Phi| of an active vertex at the end, metres; 0 for a sharp outer mold line.
     projection_residual: float
     #: Most projection steps that a vertex took.
@@ -260,6 +262,7 @@ class Session:
             quality=report_from_wire(response.quality),
             cell_quality=_cell_quality(response.cell_quality) if cell_quality else None,
             seam_residual=response.residuals.seam,
+            held_residual=response.residuals.held,
             projection_residual=response.residuals.projection,
             projection_steps=response.residuals.projection_steps,
             linearisation_id=response.linearisation_id,

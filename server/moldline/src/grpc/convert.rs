@@ -138,6 +138,7 @@ pub fn deformed(deformed: &Deformed, include_cell_quality: bool) -> v1::DeformRe
         residuals: Some(v1::Residuals {
             seam: deformation.seam_residual,
             projection: deformation.projection_residual,
+            held: deformation.held_residual,
             projection_steps: deformation.projection_steps as u32,
         }),
         cell_quality: include_cell_quality.then(|| cell_quality(&deformation.cell_quality)),
