@@ -406,12 +406,15 @@ fn dot_product(
     let directions: Vec<Vec<f64>> =
         (0..block).map(|_| variables.iter().map(|v| range(v) * random.signed()).collect()).collect();
     let tangents = linear.jvp(&directions)?;
-    // Seeds that give the scalar outputs as much to say as the vertices have, whatever their units.
-    let typical = |k: usize| tangents.iter().map(|t| t.functions[k].abs()).fold(0.0, f64::max);
-    let moved = largest(tangents.iter().map(|t| norm(&t.vertices)));
-    let weights: Vec<f64> = (0..outputs.functions.len())
-        .map(|k| if typical(k) > 0.0 { moved / typical(k) } else { 1.0 })
+    // Seeds that give the scalar outputs as much to say as the vertices have, whatever their units; not to those that only
+    // rounding changes (the y of a tracked point in the plane of symmetry).
+    let changes: Vec<f64> = (0..outputs.functions.len())
+        .map(|k| largest(tangents.iter().map(|t| t.functions[k].abs())))
         .collect();
+    let least = 1e-9 * largest(changes.iter().copied());
+    let moved = largest(tangents.iter().map(|t| norm(&t.vertices)));
+    let weights: Vec<f64> =
+        changes.iter().map(|&change| if change > least { moved / change } else { 1.0 }).collect();
     let seeds: Vec<Outputs> = (0..block)
         .map(|_| Outputs {
             vertices: outputs.vertices.iter().map(|_| std::array::from_fn(|_| random.signed())).collect(),
@@ -511,8 +514,9 @@ fn central(
 
 /// The largest error of a scalar output, relative to its derivative, or to the output itself where it hardly changes.
 fn function_error(difference: &[f64], tangent: &[f64], value: &[f64]) -> f64 {
+    let least = 1e-6 * largest(tangent.iter().map(|t| t.abs()));
     largest(difference.iter().zip(tangent).zip(value).map(|((d, t), value)| {
-        let size = t.abs().max(1e-6 * value.abs());
+        let size = t.abs().max(1e-6 * value.abs()).max(least);
         if d == t { 0.0 } else { (d - t).abs() / size }
     }))
 }
