@@ -52,6 +52,7 @@ impl From<SetupError> for ServiceError {
             }
             SetupError::Parameterisation(error) => parameterisation_field(error),
             SetupError::Factorisation { field, .. } => field.clone(),
+            SetupError::Output { name, .. } => format!("outputs[\"{name}\"]"),
             SetupError::Mesh(error) => mesh_field(error),
             SetupError::OffSurface { worst, .. } => match worst.first() {
                 Some(worst) => format!("mesh.vertices[{}]", worst.vertex),
@@ -121,6 +122,8 @@ impl From<DeformError> for ServiceError {
             | DeformError::NotProjected { .. }
             | DeformError::Held { .. }
             | DeformError::FootPoint { .. } => Self::new(Code::FailedPrecondition, "").at("design", text),
+            DeformError::NoDesign => Self::invalid("design", text),
+            DeformError::SeedSize { index, what, .. } => Self::invalid(format!("{what}[{index}]"), text),
         }
     }
 }

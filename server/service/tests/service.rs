@@ -107,8 +107,8 @@ async fn deform_gives_the_engines_bits_whatever_the_number_of_threads() {
         let session = service.open_session(&setup, "").unwrap();
         let deformed = service.deform(&session, moved(1.5)).await.unwrap();
         let direct = service.setup(&setup).unwrap().engine.deform(&[1.5], &moldline_deform::Silent).unwrap();
-        assert_eq!(deformed.deformation.vertices, direct.vertices);
-        results.push((deformed.deformation.vertices, deformed.linearisation_id));
+        assert_eq!(deformed.deformation().vertices, direct.vertices);
+        results.push((deformed.deformation().vertices.clone(), deformed.id().to_owned()));
     }
     results.dedup();
     assert_eq!(results.len(), 1);
@@ -127,8 +127,8 @@ async fn control_points_take_the_place_of_a_component() {
     let design = Design { control_points: vec![("ball".to_owned(), points[0].clone())], ..Design::default() };
     let given = service.deform(&session, design).await.unwrap();
     let own = service.deform(&session, moved(0.75)).await.unwrap();
-    assert_eq!(given.deformation.vertices, own.deformation.vertices);
-    assert_ne!(given.linearisation_id, own.linearisation_id);
+    assert_eq!(given.deformation().vertices, own.deformation().vertices);
+    assert_ne!(given.id(), own.id());
 }
 
 #[tokio::test]
