@@ -9,7 +9,7 @@ use moldline_deform::{Deformation, Linearisation, Monitor, Setup, Tangent};
 use moldline_parameterisation::{ControlPoints, Override, Parameterisation};
 
 use crate::{
-    error::{Code, ServiceError, shorten},
+    error::{ServiceError, shorten},
     limits::Limits,
     service::Timing,
     setups::SetupId,
@@ -270,7 +270,7 @@ impl Directions {
             check_points(&field, &vectors, counts[component], "control points")?;
             control_points.push((component, vectors));
         }
-        let count = count.of_all("there is no direction: send `design`, `control_points` or both")?;
+        let count = count.of_all("design", "there is no direction: send `design`, `control_points` or both")?;
         Ok(CheckedDirections { count, design: self.design, control_points })
     }
 }
@@ -289,7 +289,7 @@ impl Seeds {
             count.add("functions", seeds.len())?;
             check("functions", seeds, functions, "functions")?;
         }
-        let count = count.of_all("there is no seed: send `vertices`, `functions` or both")?;
+        let count = count.of_all("vertices", "there is no seed: send `vertices`, `functions` or both")?;
         let of_vertices = self.vertices.unwrap_or_else(|| vec![vec![[0.0; 3]; vertices]; count]);
         let of_functions = self.functions.unwrap_or_else(|| vec![vec![0.0; functions]; count]);
         let both = of_vertices.into_iter().zip(of_functions);
@@ -366,8 +366,8 @@ impl<'a> Count<'a> {
         }
     }
 
-    fn of_all(self, none: &str) -> Result<usize, ServiceError> {
-        self.known.map(|(_, count)| count).ok_or_else(|| ServiceError::new(Code::InvalidArgument, none))
+    fn of_all(self, field: &str, none: &str) -> Result<usize, ServiceError> {
+        self.known.map(|(_, count)| count).ok_or_else(|| ServiceError::invalid(field, none))
     }
 }
 
