@@ -190,13 +190,15 @@ impl<'a> DualBody<'a> {
         // Where a derivative vanishes along a side, it grows with the mixed one.
         let mixed = self.jet(at, 2).second[1];
         let l = at.location();
-        let inwards = |t: f64, low: f64, high: f64| if t < 0.5 * (low + high) { high - low } else { low - high };
+        let inwards =
+            |t: f64, low: f64, high: f64| if t < 0.5 * (low + high) { high - low } else { low - high };
         let limits = [
             (d_u * constant(ranges[0]), mixed * constant(inwards(l.u, u0, u1) * ranges[1])),
             (mixed * constant(inwards(l.v, v0, v1) * ranges[0]), d_v * constant(ranges[1])),
         ];
         let at_side = [l.u == u0 || l.u == u1, l.v == v0 || l.v == v1];
-        let limit = limits.iter().zip(at_side).filter(|(_, at)| *at).find_map(|((a, b), _)| across(a, b, [1.0; 2]));
+        let limit =
+            limits.iter().zip(at_side).filter(|(_, at)| *at).find_map(|((a, b), _)| across(a, b, [1.0; 2]));
         limit.map_or_else(Vector::zeros, outward)
     }
 
@@ -312,7 +314,8 @@ impl<'a> DualBody<'a> {
         let l = found.location;
         let patch = self.patch(l.patch);
         let sides = &self.body.component().edges()[edge as usize].sides;
-        let side = sides_of(patch, &l).find_map(|side| sides.iter().find(|s| s.patch == l.patch && s.side == side));
+        let side =
+            sides_of(patch, &l).find_map(|side| sides.iter().find(|s| s.patch == l.patch && s.side == side));
         let hold = match side {
             None => Held::Fast,
             Some(side) => {
@@ -440,7 +443,8 @@ impl<'a> DualBody<'a> {
         let fraction = if (0.0..=1.0).contains(&fraction.re) { fraction } else { inside };
         let mut along = fraction * (there.range.1 - there.range.0) + there.range.0;
         if !edge.is_affine() {
-            let start = self.nearest_on_side(there.patch, there.side, there.range, &real(&self.position(&on_side)));
+            let start =
+                self.nearest_on_side(there.patch, there.side, there.range, &real(&self.position(&on_side)));
             along = self.along_side(there.patch, there.side, start, &self.position(&on_side));
         }
         let mut mu = [along; 2];

@@ -270,7 +270,9 @@ impl Deformed<'_> {
         let motion = |(seam, point): (&moldline_deform::seam::SeamVertex, &DualSeam)| {
             let start = constants(&setup.positions()[seam.vertex as usize]);
             let Some(component) = component else { return Ok(point.position - start) };
-            let Some(k) = seam.owners.iter().position(|&o| o == component) else { return Ok(Vector::zeros()) };
+            let Some(k) = seam.owners.iter().position(|&o| o == component) else {
+                return Ok(Vector::zeros());
+            };
             let reference = &self.reference[component as usize];
             let (from, to) = (&seam.locations[k], &point.at[k]);
             match (chart, setup.options().propagation) {
@@ -281,9 +283,7 @@ impl Deformed<'_> {
                     Ok(Vector::new(a, b, constant(0.0)))
                 }
                 (None, Propagation::Surface) => Ok(reference.position(to) - start),
-                (None, _) => {
-                    Ok(point.position - self.bodies[component as usize].position(&At::fixed(from)))
-                }
+                (None, _) => Ok(point.position - self.bodies[component as usize].position(&At::fixed(from))),
             }
         };
         setup.seams().vertices.par_iter().zip(seams).map(motion).collect()
@@ -327,7 +327,9 @@ impl Deformed<'_> {
                 let region = setup.fields().iter().find(|f| f.component == Some(own.component));
                 match region.map(|r| &r.chart) {
                     None => at(from),
-                    Some(None) => at(onto(reference, v, own.freedom, &own.location, &(start + displacement))?.at),
+                    Some(None) => {
+                        at(onto(reference, v, own.freedom, &own.location, &(start + displacement))?.at)
+                    }
                     Some(Some(chart)) => {
                         let mut departure = [displacement.x, displacement.y];
                         if let Freedom::Edge(edge) = own.freedom {
@@ -366,9 +368,9 @@ impl Deformed<'_> {
                     if !self.may_smooth(v) {
                         return Ok(here);
                     }
-                    let mean = laplacian.row(v as usize).fold(Vector::zeros(), |sum, (n, w)| {
-                        sum + placed[n as usize].position * constant(w)
-                    });
+                    let mean = laplacian
+                        .row(v as usize)
+                        .fold(Vector::zeros(), |sum, (n, w)| sum + placed[n as usize].position * constant(w));
                     let x = here.position - (here.position - mean) * constant(options.relaxation);
                     let own = self.own(v);
                     let body = &self.bodies[own.component as usize];
@@ -391,10 +393,8 @@ impl Deformed<'_> {
         if setup.options().outer_mold_line == OuterMoldLine::Sharp {
             return placed.iter().map(|p| p.position).collect();
         }
-        let mut known: Vec<Vec<(u32, Location)>> = (0u32..)
-            .zip(placed)
-            .map(|(v, p)| vec![(self.own(v).component, p.at.location())])
-            .collect();
+        let mut known: Vec<Vec<(u32, Location)>> =
+            (0u32..).zip(placed).map(|(v, p)| vec![(self.own(v).component, p.at.location())]).collect();
         for (seam, point) in setup.seams().vertices.iter().zip(seams) {
             known[seam.vertex as usize] =
                 seam.owners.iter().copied().zip(point.at.iter().map(At::location)).collect();
@@ -460,7 +460,13 @@ impl Deformed<'_> {
 }
 
 /// The foot point of `x` on the part of a component that a vertex may move over.
-fn onto(body: &DualBody<'_>, v: u32, freedom: Freedom, hint: &Location, x: &Vector) -> Result<Foot, CheckError> {
+fn onto(
+    body: &DualBody<'_>,
+    v: u32,
+    freedom: Freedom,
+    hint: &Location,
+    x: &Vector,
+) -> Result<Foot, CheckError> {
     let foot = match freedom {
         Freedom::Edge(edge) => body.foot_on_edge(x, edge, hint),
         _ => body.foot_near(x, hint),

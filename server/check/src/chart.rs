@@ -22,7 +22,13 @@ pub fn walk(chart: &Chart, reference: &DualBody<'_>, from: &At, departure: [Dual
 
 /// The departure that leads from a vertex's reference location to parameters that move, by Newton steps from the engine's
 /// departure; `None` where the engine finds none.
-pub fn unroll(chart: &Chart, reference: &DualBody<'_>, from: &Location, to: &At, tolerance: f64) -> Option<[Dual; 2]> {
+pub fn unroll(
+    chart: &Chart,
+    reference: &DualBody<'_>,
+    from: &Location,
+    to: &At,
+    tolerance: f64,
+) -> Option<[Dual; 2]> {
     let start = chart.unroll(reference.body, from, &to.location(), tolerance)?;
     let from = At::fixed(from);
     let goal: Vector = reference.position(to);
@@ -34,9 +40,7 @@ pub fn unroll(chart: &Chart, reference: &DualBody<'_>, from: &Location, to: &At,
         let columns = [0, 1].map(|k| tangent(&slope, k));
         let matrix = Matrix2::from_fn(|a, b| columns[a].dot(&columns[b]));
         let miss = reference.position(&walk(chart, reference, &from, departure)) - goal;
-        let right = columns.map(|c| {
-            (0..3).fold(constant(0.0), |sum, axis| sum + miss[axis] * c[axis])
-        });
+        let right = columns.map(|c| (0..3).fold(constant(0.0), |sum, axis| sum + miss[axis] * c[axis]));
         let step = solve(&matrix, &right);
         departure = [departure[0] - step[0], departure[1] - step[1]];
     }

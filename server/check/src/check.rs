@@ -263,7 +263,7 @@ impl Function for Setup {
     fn eval(&self, design: &[f64], monitor: &dyn Monitor) -> Result<Outputs, DeformError> {
         let control_points = self.parameterisation().control_points(design)?;
         let deformation = self.deform_control_points(&control_points, monitor)?;
-        Ok(Outputs { vertices: deformation.vertices, functions: Vec::new() })
+        Ok(Outputs { vertices: deformation.vertices, functions: deformation.functions })
     }
 }
 
@@ -345,9 +345,13 @@ pub fn check_design(
     let tangents = linear.jvp(&directions)?;
     let dual = chain.eval(design, &directions, &DualProgress(watch))?;
     let engine = linear.outputs();
-    let values = largest(engine.vertices.iter().zip(&dual.values.vertices).map(|(a, b)| {
-        (Real::from(*a) - b).norm() / setup.length()
-    }));
+    let values = largest(
+        engine
+            .vertices
+            .iter()
+            .zip(&dual.values.vertices)
+            .map(|(a, b)| (Real::from(*a) - b).norm() / setup.length()),
+    );
     let mut rows = Vec::with_capacity(options.variables.len());
     for (row, &variable) in options.variables.iter().enumerate() {
         let stages = linear.stages(&directions[row])?;
@@ -367,7 +371,8 @@ pub fn check_design(
                 && error < best
             {
                 best = error;
-                check.functions = function_error(&difference.functions, &tangents[row].functions, &engine.functions);
+                check.functions =
+                    function_error(&difference.functions, &tangents[row].functions, &engine.functions);
             }
             check.differences.push(Difference { step, error });
             watch.progress(Phase::Differences, (row * options.steps.len() + k + 1) as f64 / work as f64);
@@ -427,7 +432,8 @@ fn dot_product(
 }
 
 fn inner(a: &Outputs, b: &Outputs) -> f64 {
-    let vertices: f64 = a.vertices.iter().flatten().zip(b.vertices.iter().flatten()).map(|(a, b)| a * b).sum();
+    let vertices: f64 =
+        a.vertices.iter().flatten().zip(b.vertices.iter().flatten()).map(|(a, b)| a * b).sum();
     vertices + a.functions.iter().zip(&b.functions).map(|(a, b)| a * b).sum::<f64>()
 }
 

@@ -2,20 +2,27 @@
 
 use moldline_deform::{DeformError, Linearisation, Tangent};
 
-use crate::{Stages, check::{Linear, Outputs}};
+use crate::{
+    Stages,
+    check::{Linear, Outputs},
+};
 
 impl Linear for Linearisation {
     fn outputs(&self) -> Outputs {
-        Outputs { vertices: self.deformation().vertices.clone(), functions: Vec::new() }
+        let deformation = self.deformation();
+        Outputs { vertices: deformation.vertices.clone(), functions: deformation.functions.clone() }
     }
 
     fn jvp(&self, directions: &[Vec<f64>]) -> Result<Vec<Outputs>, DeformError> {
         let tangents = Self::jvp(self, directions)?;
-        Ok(tangents.into_iter().map(|t| Outputs { vertices: t.vertices, functions: Vec::new() }).collect())
+        Ok(tangents.into_iter().map(|t| Outputs { vertices: t.vertices, functions: t.functions }).collect())
     }
 
     fn vjp(&self, seeds: &[Outputs]) -> Result<Vec<Vec<f64>>, DeformError> {
-        let seeds: Vec<Tangent> = seeds.iter().map(|s| Tangent { vertices: s.vertices.clone() }).collect();
+        let seeds: Vec<Tangent> = seeds
+            .iter()
+            .map(|s| Tangent { vertices: s.vertices.clone(), functions: s.functions.clone() })
+            .collect();
         Ok(Self::vjp(self, &seeds)?.into_iter().map(|gradient| gradient.design).collect())
     }
 

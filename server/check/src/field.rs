@@ -15,14 +15,16 @@ const COLUMNS: usize = 3 * (1 + LANES);
 /// The factorised system of a field.
 pub struct System {
     kernel: Kernel,
+    rounding: f64,
     centres: Vec<Real>,
     matrix: Mat<f64>,
     factor: faer::linalg::solvers::PartialPivLu<f64>,
 }
 
-fn psi(kernel: Kernel, r: f64) -> f64 {
+/// `rounding`: c^2 of the linear kernel.
+fn psi(kernel: Kernel, rounding: f64, r: f64) -> f64 {
     match kernel {
-        Kernel::Linear => -r,
+        Kernel::Linear => -(r * r + rounding).sqrt(),
         Kernel::Cubic => r.powi(3),
     }
 }
@@ -39,20 +41,21 @@ impl System {
         let high = centres.iter().fold(Real::repeat(f64::NEG_INFINITY), |high, c| high.sup(c));
         let scale = (high - low).max();
         let (kernel, n) = (options.kernel(), centres.len());
-        let between = |i: usize, j: usize| psi(kernel, (centres[i] - centres[j]).norm() / scale);
+        let rounding = field.rounding();
+        let between = |i: usize, j: usize| psi(kernel, rounding, (centres[i] - centres[j]).norm() / scale);
         let pairs = (0..n).flat_map(|i| (0..i).map(move |j| (i, j)));
         let mean = pairs.map(|(i, j)| between(i, j).abs()).sum::<f64>() / (0.5 * (n * (n - 1)) as f64);
         let scaled: Vec<Real> = centres.iter().map(|c| (c - 0.5 * (low + high)) / scale).collect();
         let affine = |i: usize, k: usize| if k == 0 { 1.0 } else { scaled[i][k - 1] };
         let matrix = Mat::from_fn(n + 4, n + 4, |i, j| match (i < n, j < n) {
-            (true, true) if i == j => options.regularisation * mean,
+            (true, true) if i == j => psi(kernel, rounding, 0.0) + options.regularisation * mean,
             (true, true) => between(i, j),
             (true, false) => affine(i, j - n),
             (false, true) => affine(j, i - n),
             (false, false) => 0.0,
         });
         let factor = matrix.partial_piv_lu();
-        Self { kernel, centres, matrix, factor }
+        Self { kernel, rounding, centres, matrix, factor }
     }
 
     /// The interpolant of `data`, one datum for each training vertex and image, at `points`.
@@ -78,7 +81,7 @@ impl System {
             .par_chunks(TILE)
             .flat_map_iter(|points| {
                 let rows = Mat::from_fn(points.len(), n + 4, |i, j| match j.checked_sub(n) {
-                    None => psi(self.kernel, (points[i] - self.centres[j]).norm() / scale),
+                    None => psi(self.kernel, self.rounding, (points[i] - self.centres[j]).norm() / scale),
                     Some(0) => 1.0,
                     Some(k) => (points[i][k - 1] - middle[k - 1]) / scale,
                 });

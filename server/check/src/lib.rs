@@ -22,8 +22,8 @@ mod spline;
 
 pub use chain::{Chain, Evaluation, Stages};
 pub use check::{
-    CheckOptions, DesignCheck, Difference, DotProduct, Function, Linear, Outputs, Phase, Step, VariableCheck, Watch,
-    check_design, designs, largest, range,
+    CheckOptions, DesignCheck, Difference, DotProduct, Function, Linear, Outputs, Phase, Step, VariableCheck,
+    Watch, check_design, designs, largest, range,
 };
 pub use differences::{Derivative, central_difference, norm, relative_error};
 
@@ -34,7 +34,9 @@ pub enum CheckError {
     #[error(transparent)]
     Deform(#[from] moldline_deform::DeformError),
     /// A seam point is not where its line goes.
-    #[error("the seam point of vertex {vertex} is {distance:.1e} m away from the line that it is searched along")]
+    #[error(
+        "the seam point of vertex {vertex} is {distance:.1e} m away from the line that it is searched along"
+    )]
     Line {
         /// Index into the mesh.
         vertex: u32,

@@ -88,7 +88,8 @@ impl DualSeams<'_> {
         found: &SeamPoint,
         junctions: &[Option<DualSeam>],
     ) -> Result<DualSeam, CheckError> {
-        let (reference, body) = (&self.reference[line.reference as usize], &self.bodies[line.reference as usize]);
+        let (reference, body) =
+            (&self.reference[line.reference as usize], &self.bodies[line.reference as usize]);
         let start = self.carried(line, reference, junctions);
         let at = |lambda: Dual| reference.walk_both(&start, line.direction.map(|d| lambda * d));
         let own = vertex.owners.iter().position(|&o| o == line.reference).unwrap_or(0);
@@ -157,7 +158,11 @@ impl DualSeams<'_> {
             (lambda, distance) = (next, miss(next));
         }
         let tolerance = 1e-9 * self.solver.length;
-        if distance <= tolerance { Ok(lambda) } else { Err(CheckError::Line { vertex: vertex.vertex, distance }) }
+        if distance <= tolerance {
+            Ok(lambda)
+        } else {
+            Err(CheckError::Line { vertex: vertex.vertex, distance })
+        }
     }
 
     /// The start of a line, shifted with the junctions at the ends of the seam.
@@ -169,8 +174,7 @@ impl DualSeams<'_> {
             let Some(k) = vertex.owners.iter().position(|&o| o == line.reference) else { continue };
             let (before, after) = (vertex.locations[k], point.at[k]);
             if before.patch == after.patch {
-                let domain =
-                    reference.body.component().patches()[after.patch as usize].surface.domain();
+                let domain = reference.body.component().patches()[after.patch as usize].surface.domain();
                 for (axis, before) in [before.u, before.v].into_iter().enumerate() {
                     let range = domain[axis].1 - domain[axis].0;
                     let mut way = after.mu[axis] - before;
@@ -204,7 +208,11 @@ impl DualSeams<'_> {
     fn found(&self, vertex: &SeamVertex, reference: u32, at: At, found: &SeamPoint) -> DualSeam {
         let position = self.bodies[reference as usize].position(&at);
         let foot = |(&owner, location)| {
-            if owner == reference { at } else { self.bodies[owner as usize].foot_near(&position, location).at }
+            if owner == reference {
+                at
+            } else {
+                self.bodies[owner as usize].foot_near(&position, location).at
+            }
         };
         let at = vertex.owners.iter().zip(&found.locations).map(foot).collect();
         DualSeam { position, at }

@@ -6,8 +6,8 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use common::{design, setup, unit};
 use moldline_check::{
-    Chain, CheckError, CheckOptions, DesignCheck, Evaluation, Linear, Outputs, Phase, Stages, Step, Watch, check_design,
-    designs,
+    Chain, CheckError, CheckOptions, DesignCheck, Evaluation, Linear, Outputs, Phase, Stages, Step, Watch,
+    check_design, designs,
 };
 use moldline_deform::{DeformError, Setup, Silent};
 
@@ -54,7 +54,9 @@ impl Linear for Jacobian {
     fn stages(&self, direction: &[f64]) -> Result<Stages, DeformError> {
         let [a, b] = &self.evaluation.tangents[..] else { panic!("two variables") };
         let mut stages = b.clone();
-        let mix = |x: &mut nalgebra::Vector3<f64>, y: &nalgebra::Vector3<f64>| *x = *y * direction[0] + *x * direction[1];
+        let mix = |x: &mut nalgebra::Vector3<f64>, y: &nalgebra::Vector3<f64>| {
+            *x = *y * direction[0] + *x * direction[1]
+        };
         let mix_all = |x: &mut Vec<nalgebra::Vector3<f64>>, y: &Vec<nalgebra::Vector3<f64>>| {
             x.iter_mut().zip(y).for_each(|(x, y)| mix(x, y));
         };

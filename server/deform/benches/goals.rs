@@ -11,7 +11,7 @@ use std::{
     time::Instant,
 };
 
-use moldline_deform::{Kernel, OuterMoldLine, Setup, SetupInput, Silent, rbf::RadialBasis};
+use moldline_deform::{Kernel, OuterMoldLine, Setup, SetupInput, Silent, Tangent, rbf::RadialBasis};
 use moldline_geometry::{Block, Body, Location};
 use moldline_setup::{Files, Limits, read_folder, read_setup};
 use moldline_spline::Vector3;
@@ -19,6 +19,8 @@ use serde_json::{Value, json};
 
 type Failure = Box<dyn std::error::Error>;
 
+/// The set-up measured.
+const SETUP_FILE: &str = "setup-motions.toml";
 /// Points of the closest-point benchmark, and of the interpolation.
 const POINTS: usize = 15_000;
 const CENTRES: usize = 1_500;
@@ -27,7 +29,7 @@ const CORNERS: [(f64, f64); 4] = [(5.0, 10.0), (5.0, -10.0), (-5.0, -10.0), (-5.
 
 fn main() -> Result<(), Failure> {
     let e175 = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples/e175");
-    let files = read_folder(&e175, &Limits::default())?.0;
+    let files = read_folder(&e175.join(SETUP_FILE), &Limits::default())?.0;
     let input = parse(&files)?;
     closest_points(&input)?;
     interpolation(&input)?;
@@ -47,10 +49,19 @@ fn main() -> Result<(), Failure> {
     deforming("15,000 cells, smooth", "<= 100", &smooth)?;
     threads_do_not_matter("smooth", &smooth)?;
 
+    // With the 45 variables of Table 2.
+    let table2 = read_setup(&read_folder(&e175, &Limits::default())?.0, None, &Limits::default())?.input;
+    for (name, input) in [("sharp", table2.clone()), ("smooth", smoothed(table2))] {
+        differentiating(name, &Arc::new(Setup::build(input, &Silent)?))?;
+    }
+
     if let Some(folder) = env::var_os("MOLDLINE_BENCH_LARGE") {
-        // The fine mesh with the example's set-up file.
-        let mut fine = read_folder(&PathBuf::from(folder), &Limits::default())?.0;
-        fine.insert("setup-motions.toml".to_owned(), files["setup-motions.toml"].clone());
+        // The fine mesh and its geometry with the example's set-up file.
+        let folder = PathBuf::from(folder);
+        let read = |name: &String| fs::read(folder.join(name)).map(|bytes| (name.clone(), bytes));
+        let names = files.keys().filter(|name| *name != SETUP_FILE);
+        let mut fine: Files = names.map(read).collect::<Result<_, _>>()?;
+        fine.insert(SETUP_FILE.to_owned(), files[SETUP_FILE].clone());
         let (setup, seconds) = median_of(1, || Ok(Setup::build(parse(&fine)?, &Silent)?))?;
         tell("set-up, 100,000 cells", seconds, "s", "measured");
         let milliseconds = deforming("100,000 cells, sharp", "<= 1000", &setup)?;
@@ -63,7 +74,7 @@ fn main() -> Result<(), Failure> {
 }
 
 fn parse(files: &Files) -> Result<SetupInput, Failure> {
-    Ok(read_setup(files, Some("setup-motions.toml"), &Limits::default())?.input)
+    Ok(read_setup(files, Some(SETUP_FILE), &Limits::default())?.input)
 }
 
 fn smoothed(mut input: SetupInput) -> SetupInput {
@@ -73,6 +84,34 @@ fn smoothed(mut input: SetupInput) -> SetupInput {
 
 fn tell(name: &str, value: impl Into<Value>, unit: &str, goal: &str) {
     println!("{}", json!({ "name": name, "value": value.into(), "unit": unit, "goal": goal }));
+}
+
+/// Products with the derivative half way to the upper bounds, in terms of the time of a deformation there.
+fn differentiating(name: &str, setup: &Arc<Setup>) -> Result<(), Failure> {
+    let variables = setup.parameterisation().variables().iter();
+    let design: Vec<f64> = variables.map(|v| v.baseline + 0.5 * (v.upper - v.baseline)).collect();
+    let (_, deform) = median_of(9, || Ok(setup.deform(&design, &Silent)?))?;
+    tell(&format!("Deform, 45 variables, {name}"), 1e3 * deform, "ms", "<= 100");
+    let (linearisation, linearise) = median_of(9, || Ok(setup.linearise(&design, &Silent)?))?;
+    tell(&format!("Deform with its linearisation, {name}"), linearise / deform, "x Deform", "measured");
+    let megabytes = linearisation.bytes() as f64 / 1e6;
+    tell(&format!("linearisation, {name}, memory"), megabytes, "MB", "<= 60");
+    let mut random = Random(9);
+    let mut seed = || Tangent {
+        vertices: setup.mesh().vertices.iter().map(|_| random.vector().into()).collect(),
+        functions: vec![1.0; setup.functions().len()],
+    };
+    let seeds: Vec<Tangent> = (0..6).map(|_| seed()).collect();
+    for (count, goal) in [(1, "<= 1"), (6, "<= 2")] {
+        let (_, seconds) = median_of(9, || Ok(linearisation.vjp(&seeds[..count])?))?;
+        let plural = if count == 1 { "" } else { "s" };
+        tell(&format!("VJP, {count} seed{plural}, {name}"), seconds / deform, "x Deform", goal);
+    }
+    let unit = |i: usize| (0..design.len()).map(|j| f64::from(i == j)).collect();
+    let directions: Vec<Vec<f64>> = (0..design.len()).map(unit).collect();
+    let (_, seconds) = median_of(5, || Ok(linearisation.jvp(&directions)?))?;
+    tell(&format!("JVP, {} directions, {name}", design.len()), seconds / deform, "x Deform", "<= 3");
+    Ok(())
 }
 
 /// The last result, and the median of the seconds.

@@ -81,6 +81,11 @@ impl Field {
         &self.mirror_signs
     }
 
+    /// c^2 of the linear kernel, in units of the extent of the centres.
+    pub fn rounding(&self) -> f64 {
+        self.basis.rounding()
+    }
+
     /// Bytes held by the factorisation.
     pub fn bytes(&self) -> usize {
         self.basis.bytes()

@@ -60,7 +60,9 @@ impl Setup {
     }
 
     fn hold(&self, v: u32) -> Option<Hold> {
-        let protected = || self.ownership.of(v).iter().any(|a| a.freedom != Freedom::Surface);
+        // A soft bracket alone leaves the seam off its target: `seam_residual` says by how much.
+        let searched = !self.seams.options.polish && self.ownership.is_seam(v);
+        let protected = || !searched && self.ownership.of(v).iter().any(|a| a.freedom != Freedom::Surface);
         if self.stationary[v as usize] {
             Some(Hold::Stationary)
         } else {

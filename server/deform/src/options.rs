@@ -30,6 +30,9 @@ pub enum Propagation {
 pub struct SeamOptions {
     /// Soft bisection steps before the polish.
     pub soft_steps: usize,
+    /// Whether Newton steps finish the search. Without them the seam is where the paper's soft bisection leaves it, with the
+    /// derivative of that: off the target by about the reference length over the square root of `eta`, for comparison.
+    pub polish: bool,
     /// Sharpness of the soft indicator `(1 + tanh(eta z)) / 2`, `z` made dimensionless by the reference length.
     pub eta: f64,
     /// Largest residual `|g|` accepted at a root, relative to the reference length.
@@ -40,7 +43,7 @@ pub struct SeamOptions {
 
 impl Default for SeamOptions {
     fn default() -> Self {
-        Self { soft_steps: 6, eta: 1e6, tolerance: 1e-13, fillet: 1e-9 }
+        Self { soft_steps: 6, polish: true, eta: 1e6, tolerance: 1e-13, fillet: 1e-9 }
     }
 }
 

@@ -201,6 +201,11 @@ impl RadialBasis {
         self.centres.count
     }
 
+    /// c^2 of the linear kernel, in units of the extent of the centres.
+    pub fn rounding(&self) -> f64 {
+        self.rounding
+    }
+
     /// Bytes held, for budgets.
     pub fn bytes(&self) -> usize {
         let size = self.centres.count.saturating_sub(AFFINE);

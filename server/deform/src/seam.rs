@@ -110,6 +110,32 @@ struct Residual {
     speed: f64,
 }
 
+/// A soft bisection.
+struct SoftBracket {
+    steps: Vec<SoftStep>,
+    /// The soft bracket in the end.
+    bracket: [f64; 2],
+    /// A bracket that surely contains a root, and `g` at its lower end.
+    hard: [f64; 2],
+    g_hard: f64,
+}
+
+/// One of its steps: the soft bracket and `g` at its lower end before, the middle, and the indicator.
+#[derive(Clone, Copy)]
+struct SoftStep {
+    bracket: [f64; 2],
+    g_l: f64,
+    m: f64,
+    g_m: f64,
+    same_side: f64,
+}
+
+impl SoftBracket {
+    fn lambda(&self) -> f64 {
+        0.5 * (self.bracket[0] + self.bracket[1])
+    }
+}
+
 /// The targets of a line seen from a point.
 pub(crate) struct Targets {
     pub union: SmoothUnionPoint,
@@ -275,25 +301,14 @@ impl SeamSolver {
         let at = |lambda: f64| along(undeformed, &start, line.direction, lambda);
         let g = |lambda: f64, bound: f64| self.residual(line, &at(lambda), bodies, bound);
 
-        let ([mut lower, mut upper], mut g_lower) = self.bracket(line, &g)?;
-        // Soft bisection (eq. 14). The bracket halves in every step whatever the indicator says.
-        let (mut l, mut u, mut g_l) = (lower, upper, g_lower);
-        for _ in 0..self.options.soft_steps {
-            let m = 0.5 * (l + u);
-            let g_m = g(m, f64::INFINITY).g;
-            if (g_m < 0.0) == (g_lower < 0.0) {
-                (lower, g_lower) = (m, g_m);
-            } else {
-                upper = m;
-            }
-            let z = (g_l / self.length) * (g_m / self.length);
-            let same_side = 0.5 * (1.0 + (self.options.eta * z).tanh());
-            l += same_side * (m - l);
-            u += (1.0 - same_side) * (m - u);
-            g_l += same_side * (g_m - g_l);
+        let (bracket, g_lower) = self.bracket(line, &g)?;
+        let soft = self.soft_bracket(bracket, g_lower, |lambda| g(lambda, f64::INFINITY).g);
+        let mut lambda = soft.lambda();
+        if !self.options.polish {
+            return Ok(self.found(vertex, line.reference, lambda, at(lambda), bodies));
         }
+        let ([mut lower, mut upper], g_lower) = (soft.hard, soft.g_hard);
         // Polish: Newton steps, bisection where they leave the hard bracket.
-        let mut lambda = 0.5 * (l + u);
         if !(lambda > lower && lambda < upper) {
             lambda = 0.5 * (lower + upper);
         }
@@ -327,6 +342,73 @@ impl SeamSolver {
         } else {
             Ok(self.found(vertex, line.reference, best.1, at(best.1), bodies))
         }
+    }
+
+    /// Soft bisection (eq. 14): the bracket halves in every step whatever the indicator says. A hard bracket goes along.
+    fn soft_bracket(
+        &self,
+        [mut lower, mut upper]: [f64; 2],
+        mut g_lower: f64,
+        g: impl Fn(f64) -> f64,
+    ) -> SoftBracket {
+        let mut steps = Vec::with_capacity(self.options.soft_steps);
+        let (mut l, mut u, mut g_l) = (lower, upper, g_lower);
+        for _ in 0..self.options.soft_steps {
+            let m = 0.5 * (l + u);
+            let g_m = g(m);
+            if (g_m < 0.0) == (g_lower < 0.0) {
+                (lower, g_lower) = (m, g_m);
+            } else {
+                upper = m;
+            }
+            let same_side = self.same_side(g_l, g_m);
+            steps.push(SoftStep { bracket: [l, u], g_l, m, g_m, same_side });
+            l += same_side * (m - l);
+            u += (1.0 - same_side) * (m - u);
+            g_l += same_side * (g_m - g_l);
+        }
+        SoftBracket { steps, bracket: [l, u], hard: [lower, upper], g_hard: g_lower }
+    }
+
+    /// Soft indicator that `g` has the same sign at two places.
+    fn same_side(&self, g_l: f64, g_m: f64) -> f64 {
+        let z = (g_l / self.length) * (g_m / self.length);
+        0.5 * (1.0 + (self.options.eta * z).tanh())
+    }
+
+    /// The soft bisection of a line once more, for its derivative: where `g` was looked at, and how `lambda` follows `g`
+    /// there. `slope(lambda)` is `dg/dlambda`.
+    pub(crate) fn soft_sensitivities(
+        &self,
+        line: &SeamLine,
+        start: &Location,
+        reference: &Body,
+        bodies: &[Body],
+        slope: impl Fn(f64) -> f64,
+    ) -> Vec<(f64, f64)> {
+        let g = |lambda: f64, bound: f64| {
+            self.residual(line, &along(reference, start, line.direction, lambda), bodies, bound)
+        };
+        // It was found when the mesh was deformed.
+        let Ok((bracket, g_lower)) = self.bracket(line, &g) else { return Vec::new() };
+        let soft = self.soft_bracket(bracket, g_lower, |lambda| g(lambda, f64::INFINITY).g);
+        let squared = self.length * self.length;
+        let (mut by_l, mut by_u, mut by_g) = (0.5, 0.5, 0.0);
+        let mut sensitivities = Vec::with_capacity(soft.steps.len() + 1);
+        for step in soft.steps.iter().rev() {
+            let SoftStep { bracket: [l, u], g_l, m, g_m, same_side: s } = *step;
+            let by_s = by_l * (m - l) - by_u * (m - u) + by_g * (g_m - g_l);
+            // d tanh: (1 + tanh z) / 2 = s has the derivative 2 s (1 - s).
+            let by_z = by_s * 2.0 * self.options.eta * s * (1.0 - s) / squared;
+            let by_g_m = by_g * s + by_z * g_l;
+            sensitivities.push((m, by_g_m));
+            let by_m = by_l * s + by_u * (1.0 - s) + by_g_m * slope(m);
+            by_g = by_g * (1.0 - s) + by_z * g_m;
+            by_l = by_l * (1.0 - s) + 0.5 * by_m;
+            by_u = by_u * s + 0.5 * by_m;
+        }
+        sensitivities.push((bracket[0], by_g));
+        sensitivities
     }
 
     /// How far the start of a line is shifted with the junctions at the ends of the seam.

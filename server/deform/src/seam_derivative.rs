@@ -7,7 +7,8 @@
 //! 0 = sum_t w_t n_t . (dS_r + J dmu - dS_t)
 //! ```
 //!
-//! gives the parameters on the reference component, and the foot point's derivative those on the other owners.
+//! gives the parameters on the reference component, and the foot point's derivative those on the other owners. Without the
+//! polish `lambda` is what soft bisection makes of the values of `g` it looked at; its derivative goes back through them.
 
 use moldline_geometry::{
     Block, Body, Location, SignedDistance,
@@ -51,11 +52,12 @@ struct VertexDerivative {
     owners: Vec<Owner>,
 }
 
-/// `dmu += gain * normal . (dS_t - dS_r)`.
+/// `dmu += gain * normal . (dS_t - dS_r)`: `S_t` where the target was met, `S_r` where it was looked at from.
 #[derive(Clone, Debug)]
 struct Target {
     component: usize,
     at: Location,
+    from: Location,
     normal: Vector3,
     gain: [f64; 2],
 }
@@ -115,27 +117,46 @@ impl SeamSolver {
                 let undeformed = &reference[component];
                 let shift = self.carried(line, undeformed, |k| Some(&points[k as usize]));
                 let shifted = along_derivative(undeformed, &line.start, shift);
-                let lengths = line.direction.map(|d| d * point.lambda);
-                let walk = along_derivative(undeformed, &shifted.end, lengths);
-                let m: [f64; 2] = std::array::from_fn(|row| {
-                    walk.by_lengths[row][0] * line.direction[0] + walk.by_lengths[row][1] * line.direction[1]
-                });
-                let Targets { union, weights, feet } = self.targets(line, &x, bodies);
-                let slopes = j.map(|j| j.dot(&union.gradient));
-                let slope = slopes[0] * m[0] + slopes[1] * m[1];
-                for ((&t, foot), weight) in line.targets.iter().zip(&feet).zip(&weights) {
-                    targets.push(Target {
-                        component: t as usize,
-                        at: foot.location,
-                        normal: foot.normal,
-                        gain: m.map(|m| weight * m / slope),
-                    });
+                // The location at lambda, `m`, and `M`: its derivatives by lambda and by the shift.
+                let walk = |lambda: f64| {
+                    let walk = along_derivative(undeformed, &shifted.end, line.direction.map(|d| d * lambda));
+                    let m =
+                        walk.by_lengths.map(|row| row[0] * line.direction[0] + row[1] * line.direction[1]);
+                    (walk.end, m, product(&walk.by_start, &shifted.by_lengths))
+                };
+                // `g` at lambda: targets, and its derivatives by the parameters and by lambda.
+                let look = |lambda: f64| {
+                    let (from, m, by_shift) = walk(lambda);
+                    let at = bodies[component].point(&from);
+                    let found = self.targets(line, &at.position, bodies);
+                    let slopes = [at.d_u, at.d_v].map(|j| j.dot(&found.union.gradient));
+                    (from, by_shift, found, slopes, slopes[0] * m[0] + slopes[1] * m[1])
+                };
+                let (_, m, mut by_shift) = walk(point.lambda);
+                let sensitivities = if self.options.polish {
+                    vec![(point.lambda, -1.0 / look(point.lambda).4)]
+                } else {
+                    self.soft_sensitivities(line, &shifted.end, undeformed, bodies, |lambda| look(lambda).4)
+                };
+                for (lambda, by_g) in sensitivities {
+                    let (from, shift_there, Targets { weights, feet, .. }, slopes, _) = look(lambda);
+                    for ((&t, foot), weight) in line.targets.iter().zip(&feet).zip(&weights) {
+                        targets.push(Target {
+                            component: t as usize,
+                            at: foot.location,
+                            from,
+                            normal: foot.normal,
+                            gain: m.map(|m| -by_g * weight * m),
+                        });
+                    }
+                    for row in 0..2 {
+                        for column in 0..2 {
+                            let along =
+                                slopes[0] * shift_there[0][column] + slopes[1] * shift_there[1][column];
+                            by_shift[row][column] += m[row] * by_g * along;
+                        }
+                    }
                 }
-                // I - m (g . J) / slope: what a shift of the start leaves along the seam.
-                let rest: [[f64; 2]; 2] = std::array::from_fn(|row| {
-                    std::array::from_fn(|column| f64::from(row == column) - m[row] * slopes[column] / slope)
-                });
-                let by_shift = product(&rest, &product(&walk.by_start, &shifted.by_lengths));
                 for &(junction, weight) in &line.carried {
                     if let Some(k) = self.carrier(line, junction, &points[junction as usize]) {
                         let row = offsets[junction as usize] + k;
@@ -152,6 +173,7 @@ impl SeamSolver {
                     targets.push(Target {
                         component: junction.targets[k] as usize,
                         at: foot.location,
+                        from: at,
                         normal: foot.normal,
                         gain: gains[k].map(|g| g / determinant),
                     });
@@ -248,9 +270,9 @@ impl VertexDerivative {
         let mut position = surface(self.reference, &self.at);
         let mut mu = vec![0.0; 2 * k];
         for target in &self.targets {
-            let s = surface(target.component, &target.at);
+            let (s, from) = (surface(target.component, &target.at), surface(self.reference, &target.from));
             for d in 0..k {
-                let gap = target.normal.dot(&(vector(&s, d) - vector(&position, d)));
+                let gap = target.normal.dot(&(vector(&s, d) - vector(&from, d)));
                 (0..2).for_each(|a| mu[2 * d + a] += target.gain[a] * gap);
             }
         }
@@ -323,13 +345,14 @@ impl VertexDerivative {
             }
         }
         for target in &self.targets {
-            let mut surface = vec![0.0; 3 * k];
+            let (mut surface, mut from) = (vec![0.0; 3 * k], vec![0.0; 3 * k]);
             for d in 0..k {
                 let gap = target.gain[0] * mu[2 * d] + target.gain[1] * mu[2 * d + 1];
                 add_vector(&mut surface, d, &(target.normal * gap));
-                add_vector(&mut position, d, &(target.normal * -gap));
+                add_vector(&mut from, d, &(target.normal * -gap));
             }
             scatter(target.component, &target.at, &surface);
+            scatter(self.reference, &target.from, &from);
         }
         scatter(self.reference, &self.at, &position);
     }

@@ -47,7 +47,7 @@ fn solver(bodies: &[Body], fillet: f64, bracket: [f64; 2]) -> SeamSolver {
 }
 
 fn found(solver: &SeamSolver, bodies: &[Body]) -> Vector3 {
-    solver.eval(bodies, &Silent).unwrap()[0].position
+    solver.eval(bodies, bodies, &Silent).unwrap()[0].position
 }
 
 #[test]
@@ -87,7 +87,7 @@ fn a_union_out_of_reach_is_lost_by_vertex() {
     let reference = bodies([[0.0; 3], [0.5, 0.0, 0.0]]);
     let solver = solver(&reference, 1e-3, [0.0, 1.5]);
     let bodies = bodies([[0.0, 0.0, 3.0], [0.5, 0.0, 4.0]]);
-    let Err(DeformError::SeamLost { count, worst, .. }) = solver.eval(&bodies, &Silent) else {
+    let Err(DeformError::SeamLost { count, worst, .. }) = solver.eval(&bodies, &bodies, &Silent) else {
         panic!("nothing is met")
     };
     assert_eq!((count, worst[0].vertex), (1, 0));

@@ -44,14 +44,20 @@ pub fn run(options: &config::Check) -> Result<(), Failure> {
         say(&format_args!("{name:<20} largest error {error:.1e}, goal {goal:.0e}: {verdict}"))?;
     }
     if let Some(path) = &options.json {
-        local::write_with_folder(path, format!("{:#}\n", document(&setup, &check_options, &checks)).as_bytes())?;
+        local::write_with_folder(
+            path,
+            format!("{:#}\n", document(&setup, &check_options, &checks)).as_bytes(),
+        )?;
         say(&format_args!("wrote {}", path.display()))?;
     }
     if let Some(folder) = &options.plots {
         for (number, check) in checks.iter().enumerate() {
             let path = folder.join(format!("plateau-{}.png", number + 1));
             let title = title(options, number, checks.len());
-            local::write_with_folder(&path, &plot::plateau(&title, setup.parameterisation().groups(), check)?)?;
+            local::write_with_folder(
+                &path,
+                &plot::plateau(&title, setup.parameterisation().groups(), check)?,
+            )?;
             say(&format_args!("wrote {}", path.display()))?;
         }
     }

@@ -81,8 +81,8 @@ fn draw(
         chart.draw_series(LineSeries::new(points.iter().copied(), style))?;
         chart.draw_series(points.iter().map(|&at| Circle::new(at, 2, colour(group).filled())))?;
     }
-    let shown = (0..groups.len())
-        .filter(|&g| check.variables.iter().any(|v| groups[g].range.contains(&v.variable)));
+    let shown =
+        (0..groups.len()).filter(|&g| check.variables.iter().any(|v| groups[g].range.contains(&v.variable)));
     for (row, g) in shown.enumerate() {
         let y = 60 + 24 * row as i32;
         let line = PathElement::new([(0, y), (24, y)], colour(g).stroke_width(3));

@@ -327,8 +327,8 @@ impl FreeForm {
             let [a, b] = section.turn(section.flat(i, self.along[i], self.across[j], self.layer[j]));
             let from_rest = [a - convert(self.along[i]), b - convert(self.across[j])];
             let step = from_rest.map(|d| d * convert(frame.chord));
-            lattice[index] =
-                nalgebra::Vector3::from_column_slice(&section.values[SHIFT..TWIST]) + self.in_space(frame, step);
+            lattice[index] = nalgebra::Vector3::from_column_slice(&section.values[SHIFT..TWIST])
+                + self.in_space(frame, step);
         });
         lattice
     }

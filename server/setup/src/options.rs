@@ -99,6 +99,10 @@ pub struct SeamDocument {
     /// Soft bisection steps before the polish.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub soft_steps: Option<usize>,
+    /// Whether Newton steps finish the search (default). Without them the seam is where soft bisection leaves it, off the
+    /// target by about the reference length over the square root of `eta`: for comparison.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub polish: Option<bool>,
     /// Sharpness of the soft indicator.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub eta: Option<f64>,
@@ -142,6 +146,7 @@ impl OptionsDocument {
         options.protected_groups.clone_from(&o.protected_groups);
         options.stationary_groups.clone_from(&o.stationary_groups);
         set(&mut options.seam.soft_steps, o.seam.soft_steps);
+        set(&mut options.seam.polish, o.seam.polish);
         set(&mut options.seam.eta, o.seam.eta);
         set(&mut options.seam.tolerance, o.seam.tolerance);
         set(&mut options.seam.fillet, o.seam.fillet);
@@ -171,6 +176,7 @@ impl From<&Options> for OptionsDocument {
             stationary_groups: options.stationary_groups.clone(),
             seam: SeamDocument {
                 soft_steps: Some(options.seam.soft_steps),
+                polish: Some(options.seam.polish),
                 eta: Some(options.seam.eta),
                 tolerance: Some(options.seam.tolerance),
                 fillet: Some(options.seam.fillet),

@@ -18,7 +18,8 @@ pub fn setup(folder: &str, change: impl Fn(&mut Options)) -> Setup {
 /// A design at a fraction of the way from the baseline to a bound, upper and lower in turn.
 pub fn design(setup: &Setup, fraction: f64) -> Vec<f64> {
     let variables = setup.parameterisation().variables().iter().enumerate();
-    let bound = |(k, v): (usize, &moldline_parameterisation::Variable)| if k % 2 == 0 { v.upper } else { v.lower };
+    let bound =
+        |(k, v): (usize, &moldline_parameterisation::Variable)| if k % 2 == 0 { v.upper } else { v.lower };
     variables.map(|(k, v)| v.baseline + fraction * (bound((k, v)) - v.baseline)).collect()
 }
 
