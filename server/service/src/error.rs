@@ -100,7 +100,9 @@ impl ServiceError {
     /// Puts the fields of all violations below `field`.
     #[must_use]
     pub(crate) fn within(mut self, field: &str) -> Self {
-        self.violations.iter_mut().for_each(|violation| violation.field = format!("{field}.{}", violation.field));
+        self.violations
+            .iter_mut()
+            .for_each(|violation| violation.field = format!("{field}.{}", violation.field));
         self
     }
 

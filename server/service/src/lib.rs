@@ -37,7 +37,9 @@ pub use moldline_setup::ArchiveKind;
 pub use cancel::Cancellation;
 pub use error::{Code, ServiceError, Violation};
 pub use limits::Limits;
-pub use linearisation::{ControlPointVectors, Design, Directions, Gradients, Linearised, Seeds, Values, Wanted};
+pub use linearisation::{
+    ControlPointVectors, Design, Directions, Gradients, Linearised, Seeds, Values, Wanted,
+};
 pub use pool::PoolLimits;
 pub use progress::{Progress, Reporter};
 pub use service::{At, Created, Product, Receiving, Service, Timing};

@@ -169,7 +169,7 @@ impl Linearised {
     }
 
     /// Bytes that it holds besides the set-up.
-    pub(crate) fn bytes(&self) -> usize {
+    pub fn bytes(&self) -> usize {
         self.engine.bytes() + size_of_val(&self.design[..])
     }
 
@@ -270,7 +270,8 @@ impl Directions {
             check_points(&field, &vectors, counts[component], "control points")?;
             control_points.push((component, vectors));
         }
-        let count = count.of_all("design", "there is no direction: send `design`, `control_points` or both")?;
+        let count =
+            count.of_all("design", "there is no direction: send `design`, `control_points` or both")?;
         Ok(CheckedDirections { count, design: self.design, control_points })
     }
 }

@@ -257,8 +257,8 @@ impl Service {
             }
         };
         const FIELD: &str = "at.design_point";
-        let design = Resolved::new(setup.engine.parameterisation(), design)
-            .map_err(|error| error.within(FIELD))?;
+        let design =
+            Resolved::new(setup.engine.parameterisation(), design).map_err(|error| error.within(FIELD))?;
         let id = design.id(&setup.id);
         let find = || self.sessions.find(session_id, &id);
         let land = {

@@ -10,7 +10,10 @@ use std::{pin::Pin, sync::Arc};
 use moldline_proto::{FILE_DESCRIPTOR_SET, v1};
 use moldline_service::{At, Product, Service, ServiceError, UploadHeader, Wanted};
 use tokio::sync::mpsc;
-use tokio_stream::{Stream, wrappers::{ReceiverStream, UnboundedReceiverStream}};
+use tokio_stream::{
+    Stream,
+    wrappers::{ReceiverStream, UnboundedReceiverStream},
+};
 use tonic::{Request, Response, Status, Streaming, transport::server::Router};
 use tonic_health::server::HealthReporter;
 use v1::mesh_service_server::{MeshService, MeshServiceServer};
