@@ -144,7 +144,7 @@ pub struct Linearised {
     given: Vec<usize>,
     engine: Linearisation,
     /// Of the deformation.
-    pub(crate) timing: Timing,
+    timing: Timing,
 }
 
 impl Linearised {
@@ -161,6 +161,11 @@ impl Linearised {
     /// How long it took to make.
     pub fn timing(&self) -> Timing {
         self.timing
+    }
+
+    /// The same, with how long it took.
+    pub(crate) fn taking(self, timing: Timing) -> Self {
+        Self { timing, ..self }
     }
 
     /// How many design variables there are: columns of the Jacobian.

@@ -375,7 +375,7 @@ async fn linearise(
         design.linearise(id, &setup.engine, &monitor)
     };
     let Completed { value, queued, ran } = pool.run(work).await?;
-    Ok(Linearised { timing: Timing { queued, engine: ran }, ..value })
+    Ok(value.taking(Timing { queued, engine: ran }))
 }
 
 fn keep(sessions: &Sessions<Linearised>, session_id: &str, linearised: &Arc<Linearised>) {
