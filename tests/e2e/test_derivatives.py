@@ -35,7 +35,7 @@ def boom(setup: moldline.Setup) -> Iterator[moldline.Session]:
 def somewhere(setup: moldline.Setup) -> np.ndarray:
     """A design away from the baseline, and within the bounds."""
     lower, upper = setup.bounds
-    return setup.baseline + np.linspace(0.05, 0.1, len(lower)) * (upper - lower)
+    return setup.baseline + np.linspace(0.02, 0.04, len(lower)) * (upper - lower)
 
 
 def seeds(session: moldline.Session, count: int, seed: int = 3) -> tuple[np.ndarray, np.ndarray]:
@@ -86,13 +86,15 @@ def test_the_jacobian_has_the_products_columns(session: moldline.Session) -> Non
     variables = len(session.setup.variables)
     assert jacobian.vertices.shape == (variables, session.setup.vertex_count, 3)
     together = session.jvp(np.eye(variables), at=at)
-    np.testing.assert_allclose(jacobian.vertices, together.vertices, rtol=0, atol=1e-15 * np.abs(jacobian.vertices).max())
+    assert jacobian.vertices.tobytes() == together.vertices.tobytes()
+    assert matrix(jacobian).tobytes() == matrix(together).tobytes()
+    # Alone, the field's sums are in another order.
     for column, direction in enumerate(np.eye(variables)):
         tangent = session.jvp(direction, at=at)
         assert tangent.vertices.shape == (session.setup.vertex_count, 3)
         scale = np.abs(tangent.vertices).max()
-        np.testing.assert_allclose(jacobian.vertices[column], tangent.vertices, rtol=0, atol=1e-15 * scale)
-        np.testing.assert_allclose(matrix(jacobian)[column], matrix(tangent), rtol=1e-15, atol=1e-15 * scale)
+        np.testing.assert_allclose(jacobian.vertices[column], tangent.vertices, rtol=0, atol=1e-14 * scale)
+        np.testing.assert_allclose(matrix(jacobian)[column], matrix(tangent), rtol=1e-13, atol=1e-13 * scale)
 
 
 def test_the_jacobian_is_that_of_central_differences(session: moldline.Session) -> None:
@@ -172,7 +174,7 @@ def test_a_large_block_goes_in_several_requests(boom: moldline.Session) -> None:
     assert block.vertices.shape == (150, boom.setup.vertex_count, 3)
     last = boom.jvp(directions[-1], at=DESIGN)
     scale = np.abs(last.vertices).max()
-    np.testing.assert_allclose(block.vertices[-1], last.vertices, rtol=0, atol=1e-15 * scale)
+    np.testing.assert_allclose(block.vertices[-1], last.vertices, rtol=0, atol=1e-14 * scale)
 
 
 def test_a_dropped_linearisation_is_said_or_made_again(binary: Path, setup_folder: Path) -> None:
@@ -190,7 +192,8 @@ def test_a_dropped_linearisation_is_said_or_made_again(binary: Path, setup_folde
             # With the design at hand the client sends it in place of the id.
             again = session.jvp([1.0, 0.0, 0.0], at=first)
             assert again.vertices.tobytes() == before.vertices.tobytes()
-            assert session.jacobian(at=first).vertices[0].tobytes() == before.vertices.tobytes()
+            column = session.jacobian(at=first).vertices[0]
+            np.testing.assert_allclose(column, before.vertices, rtol=0, atol=1e-14 * np.abs(column).max())
 
 
 def test_a_linearisation_is_the_sessions_own(boom: moldline.Session) -> None:

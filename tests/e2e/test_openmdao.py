@@ -11,7 +11,7 @@ import numpy as np
 import openmdao.api as om
 import pytest
 from moldline.openmdao import DeformedMesh, DenseDeformedMesh
-from openmdao.utils.assert_utils import assert_check_partials
+from openmdao.utils.assert_utils import assert_check_partials, assert_check_totals
 
 HALF = Path(__file__).parents[2] / "tests/configurations/half"
 
@@ -66,17 +66,35 @@ def test_products_pass_openmdaos_check(session: moldline.Session) -> None:
     assert all({"J_fwd", "J_rev", "J_fd"} <= set(entry) for entry in data.values())
 
 
-def test_products_by_control_points_pass_openmdaos_check(session: moldline.Session) -> None:
-    component = DeformedMesh(session=session, control_points=["wing"])
+@pytest.mark.parametrize("mode", ["fwd", "rev"])
+def test_products_by_control_points_pass_openmdaos_check(session: moldline.Session, mode: str) -> None:
+    """A geometry engine of the user's own: it shifts the wing, and gives it dihedral. Patches stay joined."""
+    points = session.setup.control_points["wing"]
+    shift, dihedral = np.zeros_like(points), np.zeros_like(points)
+    shift[:, 0] = 1.0
+    dihedral[:, 2] = points[:, 1]
     run = om.Problem(reports=False)
+    geometry = om.ExecComp(
+        "points = base + a * shift + b * dihedral",
+        points={"shape": points.shape, "units": "m"},
+        **{name: {"val": value} for name, value in {"base": points, "shift": shift, "dihedral": dihedral}.items()},
+        a={"val": 0.1},
+        b={"val": 0.02},
+    )
+    run.model.add_subsystem("geometry", geometry)
+    component = DeformedMesh(session=session, control_points=["wing"], functions=["enclosed_volume", "wing.wetted_area"])
     run.model.add_subsystem("mesh", component)
-    component.set_check_partial_options(wrt="*", directional=True)
-    run.setup()
+    run.model.connect("geometry.points", "mesh.wing:control_points")
+    run.setup(mode=mode)
     run.run_model()
-    data = check(run)
-    assert np.any(data["vertices", "wing:control_points"]["J_fwd"])
+    of = ["mesh.enclosed_volume", "mesh.wing:wetted_area", *(["mesh.vertices"] if mode == "fwd" else [])]
+    inputs = ["geometry.a", "geometry.b", "mesh.wing:translation"]
+    data = run.check_totals(of=of, wrt=inputs, method="fd", form="central", step=1e-5, out_stream=None)
+    assert_check_totals(data, atol=1e-5, rtol=1e-6)
+    totals = run.compute_totals(of=of, wrt=inputs)
+    assert np.any(totals["mesh.enclosed_volume", "geometry.b"])
     # Its control points are given, so that the design does not move it.
-    assert not np.any(data["vertices", "wing:translation"]["J_fwd"])
+    assert not np.any(totals["mesh.enclosed_volume", "mesh.wing:translation"])
 
 
 def test_dense_partials_pass_openmdaos_check(session: moldline.Session) -> None:
