@@ -16,6 +16,12 @@ from openmdao.utils.assert_utils import assert_check_partials, assert_check_tota
 HALF = Path(__file__).parents[2] / "tests/configurations/half"
 
 
+@pytest.fixture(autouse=True)
+def elsewhere(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """OpenMDAO writes a folder where it runs."""
+    monkeypatch.chdir(tmp_path)
+
+
 @pytest.fixture
 def session(client: moldline.Client) -> Iterator[moldline.Session]:
     with client.create_setup(HALF).session() as session:
