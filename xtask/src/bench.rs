@@ -6,11 +6,11 @@ use serde_json::{Value, json};
 
 use crate::{
     demo::large_mesh,
-    process::{Outcome, cargo, root},
+    process::{Outcome, build_moldline, cargo, root},
     python::Python,
 };
 
-/// Runs the Rust side, then scipy on the same data, and writes `out/bench.json`.
+/// Runs the Rust side, scipy on the same data, and the round trips through server and client; writes `out/bench.json`.
 pub fn bench(large: bool, large_folder: Option<PathBuf>) -> Outcome {
     let python = Python::ready()?;
     let data = root().join("out/bench");
@@ -41,6 +41,8 @@ pub fn bench(large: bool, large_folder: Option<PathBuf>) -> Outcome {
     rows.push(json!({
         "name": "cubic RBF, largest difference from scipy", "value": answer["difference"], "unit": "1", "goal": "<= 1e-10",
     }));
+    let binary = build_moldline(true)?;
+    rows.append(&mut json_lines(python.script("examples/bench/round_trip.py").arg("--binary").arg(binary))?);
 
     let mut missed = 0;
     println!("\n{:<84} {:>12} {:<9} goal", "what", "value", "unit");

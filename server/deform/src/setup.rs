@@ -16,7 +16,7 @@ use crate::{
     chart::Chart,
     field::{Field, Mirror},
     inspection::Inspection,
-    outputs::{Function, OutputDeclaration, Outputs},
+    outputs::{Function, Measured, OutputDeclaration, Outputs},
     ownership::{Freedom, Ownership},
     report::{ComponentSummary, FieldSummary, ProtectedSummary, SetupReport, Symmetry},
     seam::SeamSolver,
@@ -281,6 +281,17 @@ impl Setup {
     /// The scalar outputs, in the order of their values.
     pub fn functions(&self) -> &[Function] {
         self.outputs.functions()
+    }
+
+    /// Values of the scalar outputs for the reference mesh.
+    pub fn reference_functions(&self) -> Vec<f64> {
+        let vertices: Vec<[f64; 3]> = self.positions.iter().map(|&x| x.into()).collect();
+        self.outputs.eval(Measured {
+            cells: &self.mesh.cells,
+            owners: &self.ownership.cell_owner,
+            vertices: &vertices,
+            bodies: &self.reference,
+        })
     }
 
     /// Where every vertex lies.

@@ -82,6 +82,12 @@ pub struct Serve {
     /// Sessions open at a time
     #[arg(long, env = "MOLDLINE_MAX_SESSIONS", default_value_t = 1000)]
     pub max_sessions: usize,
+    /// Linearisations that a session keeps for products with derivatives; the one used least recently is dropped
+    #[arg(long, env = "MOLDLINE_MAX_LINEARISATIONS", default_value_t = 4)]
+    pub max_linearisations: usize,
+    /// Memory of the linearisations of all sessions, MiB
+    #[arg(long, env = "MOLDLINE_LINEARISATION_MEMORY", default_value_t = 2048, value_name = "MIB")]
+    pub linearisation_memory: usize,
     /// Seconds between telling health probes that the end is near and closing the port; one probe interval
     #[arg(long, env = "MOLDLINE_DRAIN_DELAY", default_value_t = 0.0, value_name = "SECONDS", value_parser = seconds)]
     pub drain_delay: f64,
@@ -102,6 +108,8 @@ impl Serve {
             upload_bytes: self.max_upload.saturating_mul(1 << 20),
             setups: self.max_setups,
             sessions: self.max_sessions,
+            linearisations: self.max_linearisations,
+            linearisation_bytes: self.linearisation_memory.saturating_mul(1 << 20),
             ..Limits::default()
         }
     }

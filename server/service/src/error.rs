@@ -97,6 +97,15 @@ impl ServiceError {
         self
     }
 
+    /// Puts the fields of all violations below `field`.
+    #[must_use]
+    pub(crate) fn within(mut self, field: &str) -> Self {
+        self.violations
+            .iter_mut()
+            .for_each(|violation| violation.field = format!("{field}.{}", violation.field));
+        self
+    }
+
     /// Names the time after which trying again may help.
     #[must_use]
     pub fn retry_after(mut self, delay: Duration) -> Self {

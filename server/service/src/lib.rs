@@ -1,13 +1,16 @@
 //! The service without a transport: set-ups, sessions, one bounded compute pool, and one kind of error.
 //!
 //! ```text
-//! upload -> read -> (hash) -> build once -> set-up -> session -> deform
-//!           pool               pool                              pool
+//! upload -> read -> (hash) -> build once -> set-up -> session -> deform -> linearisation -> products
+//!           pool               pool                              pool                       pool
 //! ```
 //!
 //! - A set-up is immutable and named by the hash of its content. Who uploads the same content gets the same set-up,
 //!   built once however many ask at the same time ([`Service::create_setup`]).
-//! - Deform is a pure function of (set-up, design): sessions cannot disturb each other, and a retry is safe.
+//! - Deform and the products with its derivative are pure functions of (set-up, design, vectors): sessions cannot
+//!   disturb each other, and a retry is safe.
+//! - Deform always linearises, since that costs a fraction of it, and the session keeps the linearisations used last:
+//!   products then deform nothing again. Asked for by design, one that is not kept any more is made again, bit by bit.
 //! - The engine runs on the pool only, never on the async runtime's threads; a panic in it is an error of one request.
 //! - Whoever drops a future has lost interest: queued work is forgotten, running work is told through
 //!   [`moldline_deform::Monitor::cancelled`].
@@ -18,6 +21,7 @@ mod cancel;
 mod error;
 mod flight;
 mod limits;
+mod linearisation;
 mod pool;
 mod progress;
 mod read;
@@ -33,8 +37,11 @@ pub use moldline_setup::ArchiveKind;
 pub use cancel::Cancellation;
 pub use error::{Code, ServiceError, Violation};
 pub use limits::Limits;
+pub use linearisation::{
+    ControlPointVectors, Design, Directions, Gradients, Linearised, Seeds, Values, Wanted,
+};
 pub use pool::PoolLimits;
 pub use progress::{Progress, Reporter};
-pub use service::{Created, Deformed, Design, Receiving, Service, Values};
+pub use service::{At, Created, Product, Receiving, Service, Timing};
 pub use setups::{SetupId, StoredSetup};
 pub use upload::{FileEntry, Upload, UploadHeader, UploadSource, Uploaded};

@@ -23,6 +23,14 @@ pub struct Limits {
     pub setups: usize,
     /// Sessions open.
     pub sessions: usize,
+    /// Linearisations that one session keeps.
+    pub linearisations: usize,
+    /// Bytes of all linearisations kept.
+    pub linearisation_bytes: usize,
+    /// Directions or seeds of one request.
+    pub vectors: usize,
+    /// Bytes of the vertices' part of one request's directions or seeds, or of what the engine makes at once.
+    pub vector_bytes: usize,
 }
 
 impl Default for Limits {
@@ -43,6 +51,10 @@ impl Default for Limits {
             },
             setups: 32,
             sessions: 1000,
+            linearisations: 4,
+            linearisation_bytes: 2 << 30,
+            vectors: 64,
+            vector_bytes: 128 << 20,
         }
     }
 }

@@ -52,7 +52,7 @@ impl From<SetupError> for ServiceError {
             }
             SetupError::Parameterisation(error) => parameterisation_field(error),
             SetupError::Factorisation { field, .. } => field.clone(),
-            SetupError::Output { name, .. } => format!("outputs.{name}"),
+            SetupError::Output { name, .. } => format!("outputs[\"{name}\"]"),
             SetupError::Mesh(error) => mesh_field(error),
             SetupError::OffSurface { worst, .. } => match worst.first() {
                 Some(worst) => format!("mesh.vertices[{}]", worst.vertex),
@@ -118,12 +118,12 @@ impl From<DeformError> for ServiceError {
             DeformError::Design(error) => error.into(),
             DeformError::Cancelled => Self::new(Code::Cancelled, text),
             DeformError::ControlPoints(_) => Self::invalid("control_points", text),
-            DeformError::SeedSize { index, .. } => Self::invalid(format!("seeds[{index}]"), text),
-            DeformError::NoDesign => Self::new(Code::FailedPrecondition, "").at("design", text),
             DeformError::SeamLost { .. }
             | DeformError::NotProjected { .. }
             | DeformError::Held { .. }
             | DeformError::FootPoint { .. } => Self::new(Code::FailedPrecondition, "").at("design", text),
+            DeformError::NoDesign => Self::invalid("design", text),
+            DeformError::SeedSize { index, what, .. } => Self::invalid(format!("{what}[{index}]"), text),
         }
     }
 }

@@ -1,16 +1,17 @@
 //! What the service does, in the order in which a client meets it.
 
-use std::{collections::BTreeMap, sync::Arc, time::Duration};
+use std::{sync::Arc, time::Duration};
 
-use moldline_deform::{Deformation, Monitor, Setup};
-use moldline_parameterisation::{Override, Parameterisation};
+use moldline_deform::{Setup, Tangent};
 use tokio::sync::Semaphore;
 
 use crate::{
+    cancel::Cancellation,
     error::{Code, ServiceError, shorten},
     flight::{Flights, Joined, Reports},
     limits::Limits,
-    pool::{ComputePool, PoolLimits},
+    linearisation::{Design, Directions, Gradients, Linearised, Resolved, Seeds, Wanted},
+    pool::{Completed, ComputePool, PoolLimits},
     progress::{Progress, Reporter},
     read::{self, Content},
     requests::Answers,
@@ -28,7 +29,9 @@ pub struct Service {
     setups: Arc<Setups>,
     builds: Flights<SetupId, StoredSetup>,
     created: std::sync::Mutex<Answers>,
-    sessions: Sessions,
+    sessions: Arc<Sessions<Linearised>>,
+    /// Linearisations that are being made for products, by session and id.
+    linearisations: Flights<(String, String), Linearised>,
 }
 
 /// An upload under way; its place is free when this is dropped.
@@ -48,41 +51,39 @@ pub struct Created {
     pub built: bool,
 }
 
-/// What to deform to.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Design {
-    /// Values of the design variables.
-    pub values: Values,
-    /// Control points from outside, in place of what the values make of a component: its name and its points, metres.
-    pub control_points: Vec<(String, Vec<[f64; 3]>)>,
-}
-
-/// Values of the design variables, each in its variable's unit.
+/// Where a derivative is taken.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Values {
-    /// Every variable in order.
-    Vector(Vec<f64>),
-    /// Some variables by name; the others stay at their baseline.
-    Named(BTreeMap<String, f64>),
+pub enum At {
+    /// At a linearisation that the session made.
+    Id(String),
+    /// At a design, linearised if the session does not keep it.
+    Design(Design),
 }
 
-impl Default for Values {
-    fn default() -> Self {
-        Self::Named(BTreeMap::new())
+/// Where the time of a request went.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Timing {
+    /// Waiting for the engine.
+    pub queued: Duration,
+    /// In the engine.
+    pub engine: Duration,
+}
+
+impl std::ops::Add for Timing {
+    type Output = Self;
+
+    fn add(self, other: Self) -> Self {
+        Self { queued: self.queued + other.queued, engine: self.engine + other.engine }
     }
 }
 
-/// The answer to [`Service::deform`].
-#[derive(Debug)]
-pub struct Deformed {
-    /// What the engine made.
-    pub deformation: Deformation,
-    /// Names set-up and design in later requests for derivatives.
-    pub linearisation_id: String,
-    /// Time that the request waited.
-    pub queued: Duration,
-    /// Time of the engine.
-    pub engine: Duration,
+/// What a product with a derivative gives.
+#[derive(Clone, Debug)]
+pub struct Product<T> {
+    /// The result.
+    pub value: T,
+    /// Of the product, and of the linearisation if it was made for it.
+    pub timing: Timing,
 }
 
 impl Service {
@@ -99,7 +100,8 @@ impl Service {
             setups: Arc::new(Setups::new(limits.setups)),
             builds: Flights::default(),
             created: std::sync::Mutex::new(Answers::new(ANSWERS)),
-            sessions: Sessions::new(limits.sessions),
+            sessions: Arc::new(Sessions::new(&limits)),
+            linearisations: Flights::default(),
             limits,
         })
     }
@@ -171,11 +173,14 @@ impl Service {
             let built = pool
                 .run(move |cancellation| {
                     let reporter = Reporter::new(cancellation.clone(), |progress| reports.tell(progress));
-                    Ok(Setup::build(input, &reporter)?)
+                    let setup = Setup::build(input, &reporter)?;
+                    let functions = setup.reference_functions();
+                    Ok((Arc::new(setup), functions))
                 })
                 .await?;
             tracing::info!(setup = %id, seconds = built.ran.as_secs_f64(), "built a set-up");
-            Ok(StoredSetup { id, name, engine: built.value, build_time: built.ran })
+            let (engine, functions) = built.value;
+            Ok(StoredSetup { id, name, engine, functions, build_time: built.ran })
         };
         let joined = self.builds.join(id.clone(), || self.setups.get(id.as_str()), build, land);
         let (setup, built) = match joined {
@@ -218,28 +223,116 @@ impl Service {
         self.sessions.close(id)
     }
 
-    /// Deforms the session's mesh. The same set-up and design give the same bits, whoever asks, whenever.
+    /// Deforms the session's mesh, and keeps its linearisation. The same set-up and design give the same bits, whoever
+    /// asks, whenever.
     ///
     /// # Errors
     /// `NotFound` for the session, `InvalidArgument` naming the entry of the design, `FailedPrecondition` if the engine
     /// cannot reach it, `ResourceExhausted` if the queue is full.
-    pub async fn deform(&self, session_id: &str, design: Design) -> Result<Deformed, ServiceError> {
+    pub async fn deform(&self, session_id: &str, design: Design) -> Result<Arc<Linearised>, ServiceError> {
         let setup = self.sessions.setup(session_id)?;
         let design = Resolved::new(setup.engine.parameterisation(), design)?;
-        let linearisation_id = design.linearisation_id(&setup.id);
-        let completed = self
-            .pool
-            .run(move |cancellation| {
-                let monitor = Reporter::new(cancellation.clone(), |_| {});
-                design.deform(&setup.engine, &monitor)
-            })
-            .await?;
-        Ok(Deformed {
-            deformation: completed.value,
-            linearisation_id,
-            queued: completed.queued,
-            engine: completed.ran,
-        })
+        let id = design.id(&setup.id);
+        let linearised = Arc::new(linearise(&self.pool, setup, design, id).await?);
+        keep(&self.sessions, session_id, &linearised);
+        Ok(linearised)
+    }
+
+    /// The derivative at some point: what the session keeps; or, if it is given by design, a linearisation made now, once
+    /// however many ask for it.
+    ///
+    /// # Errors
+    /// As [`Service::deform`]; `NotFound` for an id that the session does not keep.
+    pub async fn linearised(
+        &self,
+        session_id: &str,
+        at: At,
+    ) -> Result<Product<Arc<Linearised>>, ServiceError> {
+        let setup = self.sessions.setup(session_id)?;
+        let found = |value| Product { value, timing: Timing::default() };
+        let design = match at {
+            At::Design(design) => design,
+            At::Id(id) => {
+                return self.sessions.find(session_id, &id).map(found).ok_or_else(|| not_kept(&id));
+            }
+        };
+        const FIELD: &str = "at.design_point";
+        let design =
+            Resolved::new(setup.engine.parameterisation(), design).map_err(|error| error.within(FIELD))?;
+        let id = design.id(&setup.id);
+        let find = || self.sessions.find(session_id, &id);
+        let land = {
+            let (sessions, session_id) = (Arc::clone(&self.sessions), session_id.to_owned());
+            move |linearised: &Arc<Linearised>| keep(&sessions, &session_id, linearised)
+        };
+        let work = |_| {
+            let (pool, id) = (Arc::clone(&self.pool), id.clone());
+            async move { linearise(&pool, setup, design, id).await }
+        };
+        let follower = match self.linearisations.join((session_id.to_owned(), id.clone()), find, work, land) {
+            Joined::Found(linearised) => return Ok(found(linearised)),
+            Joined::Following(follower) | Joined::Started(follower) => follower,
+        };
+        let value = follower.land(|_| {}).await.map_err(|error| error.within(FIELD))?;
+        Ok(Product { timing: value.timing(), value })
+    }
+
+    /// Changes of the outputs along directions of the inputs.
+    ///
+    /// # Errors
+    /// As [`Service::linearised`]; `InvalidArgument` for directions that do not fit.
+    pub async fn jvp(
+        &self,
+        session_id: &str,
+        at: At,
+        directions: Directions,
+    ) -> Result<Product<Vec<Tangent>>, ServiceError> {
+        let setup = self.sessions.setup(session_id)?;
+        let directions = directions.check(&setup.engine, &self.limits)?;
+        let at = self.linearised(session_id, at).await?;
+        self.product(at, move |linearised| linearised.jvp(&directions)).await
+    }
+
+    /// Gradients of weighted sums of the outputs.
+    ///
+    /// # Errors
+    /// As [`Service::linearised`]; `InvalidArgument` for seeds that do not fit.
+    pub async fn vjp(
+        &self,
+        session_id: &str,
+        at: At,
+        seeds: Seeds,
+        wanted: Wanted,
+    ) -> Result<Product<Gradients>, ServiceError> {
+        let setup = self.sessions.setup(session_id)?;
+        let wanted = wanted.check(setup.engine.parameterisation())?;
+        let seeds = seeds.check(&setup.engine, &self.limits)?;
+        let at = self.linearised(session_id, at).await?;
+        self.product(at, move |linearised| linearised.vjp(&seeds, &wanted)).await
+    }
+
+    /// Columns of the Jacobian from the `first` one on: one at least, and as many as are made at a time.
+    ///
+    /// # Errors
+    /// `ResourceExhausted` if the queue is full.
+    pub async fn jacobian(
+        &self,
+        at: &Arc<Linearised>,
+        first: usize,
+    ) -> Result<Product<Vec<Tangent>>, ServiceError> {
+        let count = self.limits.vector_bytes / at.vector_bytes().max(1);
+        let count = count.clamp(1, self.limits.vectors.max(1));
+        let at = Product { value: Arc::clone(at), timing: Timing::default() };
+        self.product(at, move |linearised| linearised.jacobian(first, count)).await
+    }
+
+    async fn product<T: Send + 'static>(
+        &self,
+        Product { value: at, timing }: Product<Arc<Linearised>>,
+        work: impl FnOnce(&Linearised) -> Result<T, ServiceError> + Send + 'static,
+    ) -> Result<Product<T>, ServiceError> {
+        let Completed { value, queued, ran } = self.pool.run(move |_| work(&at)).await?;
+        Ok(Product { value, timing: timing + Timing { queued, engine: ran } })
     }
 
     fn answers(&self) -> std::sync::MutexGuard<'_, Answers> {
@@ -271,58 +364,29 @@ impl Receiving<'_> {
     }
 }
 
-/// A design that has been checked, before it takes a place in the queue.
-struct Resolved {
-    vector: Vec<f64>,
-    overrides: Vec<Override>,
+async fn linearise(
+    pool: &ComputePool,
+    setup: Arc<StoredSetup>,
+    design: Resolved,
+    id: String,
+) -> Result<Linearised, ServiceError> {
+    let work = move |cancellation: &Cancellation| {
+        let monitor = Reporter::new(cancellation.clone(), |_| {});
+        design.linearise(id, &setup.engine, &monitor)
+    };
+    let Completed { value, queued, ran } = pool.run(work).await?;
+    Ok(value.taking(Timing { queued, engine: ran }))
 }
 
-impl Resolved {
-    fn new(parameterisation: &Parameterisation, design: Design) -> Result<Self, ServiceError> {
-        let vector = match &design.values {
-            Values::Vector(vector) => vector.clone(),
-            Values::Named(values) => {
-                parameterisation.design(values.iter().map(|(name, &value)| (name.as_str(), value)))?
-            }
-        };
-        parameterisation.validate(&vector)?;
-        let overrides = design.control_points.into_iter().map(|(name, control_points)| {
-            let component = parameterisation.components().iter().position(|known| *known == name);
-            let component = component.ok_or_else(|| unknown_component(&name, parameterisation))?;
-            Ok(Override { component, control_points })
-        });
-        Ok(Self { vector, overrides: overrides.collect::<Result<_, ServiceError>>()? })
-    }
-
-    fn deform(&self, setup: &Setup, monitor: &dyn Monitor) -> Result<Deformation, ServiceError> {
-        Ok(if self.overrides.is_empty() {
-            setup.deform(&self.vector, monitor)?
-        } else {
-            let points = setup.parameterisation().control_points_with(&self.vector, &self.overrides)?;
-            setup.deform_control_points(&points, monitor)?
-        })
-    }
-
-    /// A name for (set-up, design): the same for the same, on any server.
-    fn linearisation_id(&self, setup: &SetupId) -> String {
-        let mut hasher = blake3::Hasher::new();
-        hasher.update(setup.as_str().as_bytes());
-        for value in &self.vector {
-            hasher.update(&value.to_le_bytes());
-        }
-        for Override { component, control_points } in &self.overrides {
-            hasher.update(&(*component as u64).to_le_bytes());
-            for value in control_points.iter().flatten() {
-                hasher.update(&value.to_le_bytes());
-            }
-        }
-        hasher.finalize().to_hex().to_string()
-    }
+fn keep(sessions: &Sessions<Linearised>, session_id: &str, linearised: &Arc<Linearised>) {
+    sessions.keep(session_id, linearised.id(), Arc::clone(linearised), linearised.bytes());
 }
 
-fn unknown_component(name: &str, parameterisation: &Parameterisation) -> ServiceError {
-    ServiceError::invalid(
-        format!("control_points[\"{}\"]", shorten(name)),
-        format!("there is no such component; there are: {}", parameterisation.components().join(", ")),
-    )
+fn not_kept(id: &str) -> ServiceError {
+    let description = format!(
+        "the session keeps no linearisation `{}`: it never made it, or dropped it for newer ones; Deform again, or send \
+         the design in place of the id",
+        shorten(id)
+    );
+    ServiceError::new(Code::NotFound, "").at("at.linearisation_id", description)
 }

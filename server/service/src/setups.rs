@@ -40,7 +40,9 @@ pub struct StoredSetup {
     /// The user's title of it.
     pub name: String,
     /// What the engine made of it.
-    pub engine: Setup,
+    pub engine: Arc<Setup>,
+    /// Values of the scalar outputs for the reference mesh.
+    pub functions: Vec<f64>,
     /// How long the engine took.
     pub build_time: Duration,
 }

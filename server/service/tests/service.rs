@@ -9,8 +9,8 @@ use std::{
 };
 
 use moldline_service::{
-    Code, Design, FileEntry, Limits, PoolLimits, Service, ServiceError, Upload, UploadHeader, UploadSource,
-    Uploaded, Values,
+    At, Code, ControlPointVectors, Design, Directions, FileEntry, Limits, PoolLimits, Seeds, Service,
+    ServiceError, Upload, UploadHeader, UploadSource, Uploaded, Values, Wanted,
 };
 
 fn service(threads: usize, limits: Limits) -> Service {
@@ -107,8 +107,8 @@ async fn deform_gives_the_engines_bits_whatever_the_number_of_threads() {
         let session = service.open_session(&setup, "").unwrap();
         let deformed = service.deform(&session, moved(1.5)).await.unwrap();
         let direct = service.setup(&setup).unwrap().engine.deform(&[1.5], &moldline_deform::Silent).unwrap();
-        assert_eq!(deformed.deformation.vertices, direct.vertices);
-        results.push((deformed.deformation.vertices, deformed.linearisation_id));
+        assert_eq!(deformed.deformation().vertices, direct.vertices);
+        results.push((deformed.deformation().vertices.clone(), deformed.id().to_owned()));
     }
     results.dedup();
     assert_eq!(results.len(), 1);
@@ -127,8 +127,8 @@ async fn control_points_take_the_place_of_a_component() {
     let design = Design { control_points: vec![("ball".to_owned(), points[0].clone())], ..Design::default() };
     let given = service.deform(&session, design).await.unwrap();
     let own = service.deform(&session, moved(0.75)).await.unwrap();
-    assert_eq!(given.deformation.vertices, own.deformation.vertices);
-    assert_ne!(given.linearisation_id, own.linearisation_id);
+    assert_eq!(given.deformation().vertices, own.deformation().vertices);
+    assert_ne!(given.id(), own.id());
 }
 
 #[tokio::test]
@@ -211,4 +211,129 @@ async fn uploads_at_a_time_have_a_limit() {
     assert!(error.retry_after.is_some());
     drop(receiving);
     assert!(service.receive(header("", &file)).is_ok());
+}
+
+fn along(x: f64) -> Directions {
+    Directions { design: Some(vec![vec![x]]), control_points: Vec::new() }
+}
+
+/// The x coordinate of the first vertex.
+fn first_x(vertices: usize) -> Seeds {
+    let mut seed = vec![[0.0; 3]; vertices];
+    seed[0][0] = 1.0;
+    Seeds { vertices: Some(vec![seed]), functions: None }
+}
+
+#[tokio::test]
+async fn products_are_those_of_a_ball_that_moves() {
+    let service = service(2, Limits::default());
+    let session = service.open_session(&create(&service, "ball").await.unwrap(), "").unwrap();
+    let deformed = service.deform(&session, moved(0.5)).await.unwrap();
+    let vertices = deformed.deformation().vertices.len();
+    for at in [At::Id(deformed.id().to_owned()), At::Design(moved(0.5)), At::Design(moved(-0.25))] {
+        let tangents = service.jvp(&session, at.clone(), along(2.0)).await.unwrap().value;
+        for [x, y, z] in &tangents[0].vertices {
+            assert!((x - 2.0).abs() < 1e-12 && y.abs() < 1e-12 && z.abs() < 1e-12);
+        }
+        // The volume of a ball does not depend on where it is.
+        assert!(tangents[0].functions.iter().all(|change| change.abs() < 1e-10));
+        let wanted = Wanted { design: true, control_points: vec!["ball".to_owned()] };
+        let gradients = service.vjp(&session, at.clone(), first_x(vertices), wanted).await.unwrap().value;
+        assert!((gradients.design.unwrap()[0][0] - 1.0).abs() < 1e-12);
+        let by_points = &gradients.control_points[0].vectors[0];
+        assert!((by_points.iter().map(|point| point[0]).sum::<f64>() - 1.0).abs() < 1e-12);
+        // All control points moved together are the ball moved.
+        let vectors = vec![vec![[2.0, 0.0, 0.0]; by_points.len()]];
+        let directions = Directions {
+            design: None,
+            control_points: vec![ControlPointVectors { component: "ball".to_owned(), vectors }],
+        };
+        let by_points = service.jvp(&session, at.clone(), directions).await.unwrap().value;
+        for (a, b) in by_points[0].vertices.iter().zip(&tangents[0].vertices) {
+            assert!((0..3).all(|axis| (a[axis] - b[axis]).abs() < 1e-12));
+        }
+        let at = service.linearised(&session, at).await.unwrap().value;
+        let columns = service.jacobian(&at, 0).await.unwrap().value;
+        assert_eq!(columns.len(), 1);
+        assert!((columns[0].vertices[0][0] - 1.0).abs() < 1e-12);
+    }
+}
+
+#[tokio::test]
+async fn a_session_keeps_what_it_used_last() {
+    let service = service(1, Limits { linearisations: 2, ..Limits::default() });
+    let setup = create(&service, "ball").await.unwrap();
+    let session = service.open_session(&setup, "").unwrap();
+    let mut ids = Vec::new();
+    for x in [0.1, 0.2] {
+        ids.push(service.deform(&session, moved(x)).await.unwrap().id().to_owned());
+    }
+    let product = |id: &str| service.jvp(&session, At::Id(id.to_owned()), along(1.0));
+    let before = product(&ids[0]).await.unwrap().value;
+    service.deform(&session, moved(0.3)).await.unwrap();
+    assert_eq!(product(&ids[0]).await.unwrap().value, before, "used after the second one");
+    let error = product(&ids[1]).await.unwrap_err();
+    assert_eq!((error.code, error.violations[0].field.as_str()), (Code::NotFound, "at.linearisation_id"));
+    assert!(service.jvp(&session, At::Design(moved(0.2)), along(1.0)).await.is_ok());
+    assert!(product(&ids[1]).await.is_ok(), "it was made again, and is kept");
+
+    let other = service.open_session(&setup, "").unwrap();
+    let error = service.jvp(&other, At::Id(ids[1].clone()), along(1.0)).await.unwrap_err();
+    assert_eq!(error.code, Code::NotFound, "another session's");
+    service.close_session(&session).unwrap();
+    assert_eq!(product(&ids[1]).await.unwrap_err().violations[0].field, "session_id");
+}
+
+#[tokio::test]
+async fn all_sessions_together_keep_so_many_bytes() {
+    let unbounded = service(1, Limits::default());
+    let session = unbounded.open_session(&create(&unbounded, "ball").await.unwrap(), "").unwrap();
+    let bytes = unbounded.deform(&session, moved(0.1)).await.unwrap().bytes();
+
+    let service = service(1, Limits { linearisation_bytes: 2 * bytes + bytes / 2, ..Limits::default() });
+    let setup = create(&service, "ball").await.unwrap();
+    let sessions = [service.open_session(&setup, "").unwrap(), service.open_session(&setup, "").unwrap()];
+    let first = service.deform(&sessions[0], moved(0.1)).await.unwrap().id().to_owned();
+    let second = service.deform(&sessions[1], moved(0.2)).await.unwrap().id().to_owned();
+    let kept = async |session: usize, id: &str| {
+        service.linearised(&sessions[session], At::Id(id.to_owned())).await.is_ok()
+    };
+    assert!(kept(0, &first).await);
+    let third = service.deform(&sessions[1], moved(0.3)).await.unwrap().id().to_owned();
+    assert!(kept(0, &first).await);
+    assert!(!kept(1, &second).await, "used least recently of all");
+    assert!(kept(1, &third).await);
+    // What is let go of with a session makes room.
+    service.close_session(&sessions[0]).unwrap();
+    let fourth = service.deform(&sessions[1], moved(0.4)).await.unwrap().id().to_owned();
+    assert!(kept(1, &third).await && kept(1, &fourth).await);
+}
+
+#[tokio::test]
+async fn products_at_the_same_design_share_one_linearisation() {
+    let service = Arc::new(service(2, Limits::default()));
+    let session = service.open_session(&create(&service, "ball").await.unwrap(), "").unwrap();
+    let asked = (0..8).map(|_| {
+        let (service, session) = (Arc::clone(&service), session.clone());
+        tokio::spawn(async move { service.linearised(&session, At::Design(moved(0.5))).await.unwrap().value })
+    });
+    let mut made = Vec::new();
+    for one in asked.collect::<Vec<_>>() {
+        made.push(one.await.unwrap());
+    }
+    assert!(made.iter().all(|other| Arc::ptr_eq(other, &made[0])));
+    let again = service.deform(&session, moved(0.5)).await.unwrap();
+    assert_eq!(again.deformation().vertices, made[0].deformation().vertices);
+    assert_eq!(again.id(), made[0].id());
+}
+
+#[tokio::test]
+async fn a_block_of_the_jacobian_and_the_vectors_of_a_request_have_limits() {
+    let service = service(1, Limits { vectors: 2, ..Limits::default() });
+    let session = service.open_session(&create(&service, "ball").await.unwrap(), "").unwrap();
+    let directions = Directions { design: Some(vec![vec![1.0]; 3]), control_points: Vec::new() };
+    let error = service.jvp(&session, At::Design(moved(0.0)), directions).await.unwrap_err();
+    assert_eq!((error.code, error.violations[0].field.as_str()), (Code::InvalidArgument, "design.shape[0]"));
+    assert!(error.message.contains('3') && error.message.contains("1..=2"));
+    assert_eq!(service.load(), 0, "refused before any work");
 }

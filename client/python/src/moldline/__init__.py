@@ -4,12 +4,27 @@
     setup = client.create_setup("examples/e175", progress=True)
     with setup.session() as session:
         result = session.deform({"wing.translation": 5.0})
+        gradient = session.vjp(functions={"enclosed_volume": 1.0}, at=result).design
 
 Vertices are float64 arrays of shape (n, 3) in metres; designs are float64 arrays of shape (number of variables,),
 each entry in its variable's unit.
 """
 
-from moldline.client import Client, Deformation, Progress, Session, Setup, Variable, VariableGroup
+from moldline.client import (
+    Client,
+    Deformation,
+    DesignPoint,
+    Function,
+    Gradients,
+    Jacobian,
+    Linearisation,
+    Progress,
+    Session,
+    Setup,
+    Tangents,
+    Variable,
+    VariableGroup,
+)
 from moldline.errors import (
     AlreadyExists,
     Cancelled,
@@ -33,11 +48,16 @@ __all__ = [
     "Client",
     "DeadlineExceeded",
     "Deformation",
+    "DesignPoint",
     "Distribution",
     "FailedPrecondition",
     "FieldViolation",
+    "Function",
+    "Gradients",
     "InternalError",
     "InvalidArgument",
+    "Jacobian",
+    "Linearisation",
     "Mesh",
     "MoldlineError",
     "NotFound",
@@ -48,6 +68,7 @@ __all__ = [
     "ResourceExhausted",
     "Session",
     "Setup",
+    "Tangents",
     "Unavailable",
     "Variable",
     "VariableGroup",

@@ -41,7 +41,7 @@ class InvalidArgument(MoldlineError, ValueError):
 
 
 class NotFound(MoldlineError, LookupError):
-    """There is no set-up or session of that id."""
+    """There is no set-up or session of that id, or the session does not keep that linearisation any more."""
 
 
 class AlreadyExists(MoldlineError):

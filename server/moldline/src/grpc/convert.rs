@@ -1,12 +1,16 @@
 //! Wire messages to the service's types and back.
 
+use moldline_deform::Tangent;
 use moldline_mesh::{Cell, CellQuality, Distribution, QualityReport, Summary};
 use moldline_proto::v1;
 use moldline_service::{
-    ArchiveKind, Created, Deformed, Design, FileEntry, Progress, ServiceError, StoredSetup, UploadHeader,
-    UploadSource, Values,
+    ArchiveKind, At, ControlPointVectors, Created, Design, Directions, FileEntry, Gradients, Linearised,
+    Product, Progress, Seeds, ServiceError, StoredSetup, Timing, UploadHeader, UploadSource, Values,
 };
-use v1::{DataType, create_setup_request::Part, create_setup_response::Event, deform_request::Input};
+use v1::{
+    DataType, create_setup_request::Part, create_setup_response::Event, deform_request, design_point,
+    linearisation_point,
+};
 
 /// The first message of an upload.
 pub fn header(part: v1::CreateSetupRequest) -> Result<UploadHeader, ServiceError> {
@@ -68,6 +72,10 @@ pub fn description(setup: &StoredSetup) -> v1::SetupDescription {
         first: group.range.start as u32,
         shape: group.shape.iter().map(|&extent| extent as u32).collect(),
     });
+    let functions = setup.engine.functions().iter().zip(&setup.functions).map(|(function, &value)| {
+        v1::Function { name: function.name.clone(), unit: function.unit.to_owned(), value }
+    });
+    let components = setup.engine.components().iter();
     v1::SetupDescription {
         name: setup.name.clone(),
         report_json: setup.report_json(),
@@ -78,6 +86,8 @@ pub fn description(setup: &StoredSetup) -> v1::SetupDescription {
         vertex_count: setup.engine.mesh().vertices.len() as u64,
         cell_count: setup.engine.mesh().cells.len() as u64,
         build_seconds: setup.build_time.as_secs_f64(),
+        functions: functions.collect(),
+        control_point_counts: components.map(|c| c.user_control_point_count() as u64).collect(),
     }
 }
 
@@ -97,6 +107,16 @@ pub fn mesh(setup: &StoredSetup) -> v1::Mesh {
     }
 }
 
+/// Control points of the baseline.
+pub fn control_points(setup: &StoredSetup) -> Result<Vec<v1::ControlPoints>, ServiceError> {
+    let parameterisation = setup.engine.parameterisation();
+    let points_of = parameterisation.control_points(&parameterisation.baseline())?;
+    let components = parameterisation.components().iter().zip(&points_of);
+    Ok(components
+        .map(|(component, of)| v1::ControlPoints { component: component.clone(), points: Some(points(of)) })
+        .collect())
+}
+
 /// Four vertices; a triangle's fourth is the largest number.
 fn corners(cell: &Cell) -> [u32; 4] {
     let mut corners = [u32::MAX; 4];
@@ -104,17 +124,33 @@ fn corners(cell: &Cell) -> [u32; 4] {
     corners
 }
 
-pub fn design(input: Option<Input>, control_points: Vec<v1::ControlPoints>) -> Result<Design, ServiceError> {
+pub fn design(
+    input: Option<deform_request::Input>,
+    control_points: Vec<v1::ControlPoints>,
+) -> Result<Design, ServiceError> {
+    let input = input.map(|input| match input {
+        deform_request::Input::Design(array) => design_point::Input::Design(array),
+        deform_request::Input::Named(named) => design_point::Input::Named(named),
+    });
+    design_point("", v1::DesignPoint { input, control_points })
+}
+
+/// A design whose fields have `prefix` before them.
+fn design_point(
+    prefix: &str,
+    v1::DesignPoint { input, control_points }: v1::DesignPoint,
+) -> Result<Design, ServiceError> {
     let values = match input {
         None => Values::default(),
-        Some(Input::Named(named)) => Values::Named(named.values.into_iter().collect()),
-        Some(Input::Design(array)) => {
-            let [_] = shape("design", &array)?;
-            Values::Vector(float64("design", &array)?)
+        Some(design_point::Input::Named(named)) => Values::Named(named.values.into_iter().collect()),
+        Some(design_point::Input::Design(array)) => {
+            let field = format!("{prefix}design");
+            let [_] = shape(&field, &array)?;
+            Values::Vector(float64(&field, &array)?)
         }
     };
     let control_points = control_points.into_iter().map(|v1::ControlPoints { component, points }| {
-        let field = format!("control_points[\"{component}\"]");
+        let field = format!("{prefix}control_points[\"{component}\"]");
         let array = points.ok_or_else(|| ServiceError::invalid(&field, "has no points"))?;
         let [_, columns] = shape(&field, &array)?;
         if columns != 3 {
@@ -125,16 +161,44 @@ pub fn design(input: Option<Input>, control_points: Vec<v1::ControlPoints>) -> R
     Ok(Design { values, control_points: control_points.collect::<Result<_, ServiceError>>()? })
 }
 
-pub fn deformed(deformed: &Deformed, include_cell_quality: bool) -> v1::DeformResponse {
-    let deformation = &deformed.deformation;
+/// Where a derivative is taken.
+pub fn at(point: Option<v1::LinearisationPoint>) -> Result<At, ServiceError> {
+    match point.and_then(|point| point.at) {
+        Some(linearisation_point::At::LinearisationId(id)) => Ok(At::Id(id)),
+        Some(linearisation_point::At::DesignPoint(point)) => {
+            Ok(At::Design(design_point("at.design_point.", point)?))
+        }
+        None => Err(ServiceError::invalid("at", "is missing: name a linearisation, or send a design point")),
+    }
+}
+
+pub fn directions(
+    design: Option<v1::Array>,
+    control_points: Vec<v1::ControlPointVectors>,
+) -> Result<Directions, ServiceError> {
+    let design = design.map(|array| vectors("design", &array)).transpose()?;
+    let control_points = control_points.into_iter().map(|v1::ControlPointVectors { component, vectors }| {
+        let field = format!("control_points[\"{component}\"]");
+        let array = vectors.ok_or_else(|| ServiceError::invalid(&field, "has no vectors"))?;
+        Ok(ControlPointVectors { vectors: point_vectors(&field, &array)?, component })
+    });
+    Ok(Directions { design, control_points: control_points.collect::<Result<_, ServiceError>>()? })
+}
+
+pub fn seeds(vertices: Option<v1::Array>, functions: Option<v1::Array>) -> Result<Seeds, ServiceError> {
+    Ok(Seeds {
+        vertices: vertices.map(|array| point_vectors("vertices", &array)).transpose()?,
+        functions: functions.map(|array| vectors("functions", &array)).transpose()?,
+    })
+}
+
+pub fn deformed(linearised: &Linearised, include_cell_quality: bool) -> v1::DeformResponse {
+    let deformation = linearised.deformation();
     v1::DeformResponse {
         vertices: Some(points(&deformation.vertices)),
         quality: Some(quality(&deformation.quality)),
-        linearisation_id: deformed.linearisation_id.clone(),
-        timings: Some(v1::Timings {
-            queue_seconds: deformed.queued.as_secs_f64(),
-            engine_seconds: deformed.engine.as_secs_f64(),
-        }),
+        linearisation_id: linearised.id().to_owned(),
+        timings: Some(timings(linearised.timing())),
         residuals: Some(v1::Residuals {
             seam: deformation.seam_residual,
             projection: deformation.projection_residual,
@@ -142,7 +206,51 @@ pub fn deformed(deformed: &Deformed, include_cell_quality: bool) -> v1::DeformRe
             projection_steps: deformation.projection_steps as u32,
         }),
         cell_quality: include_cell_quality.then(|| cell_quality(&deformation.cell_quality)),
+        functions: Some(numbers(&[deformation.functions.len()], [&deformation.functions[..]])),
     }
+}
+
+pub fn jvp(product: &Product<Vec<Tangent>>) -> v1::ApplyJacobianVectorResponse {
+    let (vertices, functions) = tangents(&product.value);
+    v1::ApplyJacobianVectorResponse { vertices, functions, timings: Some(timings(product.timing)) }
+}
+
+pub fn vjp(Product { value, timing }: &Product<Gradients>) -> v1::ApplyAdjointResponse {
+    let Gradients { design, control_points } = value;
+    let control_points = control_points.iter().map(|ControlPointVectors { component, vectors }| {
+        let shape = [vectors.len(), vectors.first().map_or(0, Vec::len), 3];
+        let array = numbers(&shape, vectors.iter().map(|vector| vector.as_flattened()));
+        v1::ControlPointVectors { component: component.clone(), vectors: Some(array) }
+    });
+    v1::ApplyAdjointResponse {
+        design: design.as_ref().map(|design| {
+            let shape = [design.len(), design.first().map_or(0, Vec::len)];
+            numbers(&shape, design.iter().map(Vec::as_slice))
+        }),
+        control_points: control_points.collect(),
+        timings: Some(timings(*timing)),
+    }
+}
+
+/// Some of the Jacobian's `columns`, the `first` one and those after it.
+pub fn jacobian(first: usize, columns: usize, some: &[Tangent], timing: Timing) -> v1::JacobianResponse {
+    let (vertices, functions) = tangents(some);
+    let (first, columns) = (first as u32, columns as u32);
+    v1::JacobianResponse { first, columns, vertices, functions, timings: Some(timings(timing)) }
+}
+
+fn tangents(tangents: &[Tangent]) -> (Option<v1::Array>, Option<v1::Array>) {
+    let (vertices, functions) = tangents.first().map_or((0, 0), |t| (t.vertices.len(), t.functions.len()));
+    let of_vertices = tangents.iter().map(|tangent| tangent.vertices.as_flattened());
+    let of_functions = tangents.iter().map(|tangent| &tangent.functions[..]);
+    (
+        Some(numbers(&[tangents.len(), vertices, 3], of_vertices)),
+        Some(numbers(&[tangents.len(), functions], of_functions)),
+    )
+}
+
+fn timings(Timing { queued, engine }: Timing) -> v1::Timings {
+    v1::Timings { queue_seconds: queued.as_secs_f64(), engine_seconds: engine.as_secs_f64() }
 }
 
 fn cell_quality(cells: &[CellQuality]) -> v1::CellQuality {
@@ -186,8 +294,16 @@ fn distribution(&Distribution { p50, p95, p99, max, above_5_percent }: &Distribu
 }
 
 fn points(points: &[[f64; 3]]) -> v1::Array {
-    let data = points.iter().flatten().flat_map(|value| value.to_le_bytes()).collect();
-    array(DataType::Float64, &[points.len(), 3], data)
+    numbers(&[points.len(), 3], [points.as_flattened()])
+}
+
+/// An array whose elements are those of `parts`, one after the other.
+fn numbers<'a>(shape: &[usize], parts: impl IntoIterator<Item = &'a [f64]>) -> v1::Array {
+    let mut data = Vec::with_capacity(size_of::<f64>() * shape.iter().product::<usize>());
+    for part in parts {
+        part.iter().for_each(|value| data.extend_from_slice(&value.to_le_bytes()));
+    }
+    array(DataType::Float64, shape, data)
 }
 
 fn array(dtype: DataType, shape: &[usize], data: Vec<u8>) -> v1::Array {
@@ -222,9 +338,36 @@ fn float64(field: &str, array: &v1::Array) -> Result<Vec<f64>, ServiceError> {
     Ok(array.data.as_chunks::<8>().0.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect())
 }
 
+/// Vectors of numbers: (k, length).
+fn vectors(field: &str, array: &v1::Array) -> Result<Vec<Vec<f64>>, ServiceError> {
+    let [_, length] = filled(field, array)?;
+    Ok(float64(field, array)?.chunks_exact(length).map(<[f64]>::to_vec).collect())
+}
+
+/// Vectors of points: (k, length, 3).
+fn point_vectors(field: &str, array: &v1::Array) -> Result<Vec<Vec<[f64; 3]>>, ServiceError> {
+    let [_, length, columns] = filled(field, array)?;
+    if columns != 3 {
+        return Err(ServiceError::invalid(format!("{field}.shape[2]"), format!("{columns} is not 3")));
+    }
+    let values = float64(field, array)?;
+    Ok(values.as_chunks::<3>().0.chunks_exact(length).map(<[[f64; 3]]>::to_vec).collect())
+}
+
+/// The extents, none of which is zero.
+fn filled<const N: usize>(field: &str, array: &v1::Array) -> Result<[usize; N], ServiceError> {
+    let shape = shape(field, array)?;
+    match shape.iter().position(|&extent| extent == 0) {
+        Some(axis) => Err(ServiceError::invalid(format!("{field}.shape[{axis}]"), "0 is not positive")),
+        // There is a byte for each at least.
+        None => Ok(shape.map(|extent| extent as usize)),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use deform_request::Input;
 
     fn vector(shape: &[u64], bytes: usize, dtype: DataType) -> Option<Input> {
         Some(Input::Design(v1::Array {
@@ -259,6 +402,33 @@ mod tests {
         assert_eq!(field(points(&[6], 48)), "control_points[\"wing\"].shape");
         let read = design(None, vec![points(&[2, 3], 48)]).unwrap();
         assert_eq!(read.control_points, [("wing".to_owned(), vec![[0.0; 3]; 2])]);
+    }
+
+    #[test]
+    fn blocks_of_vectors_have_the_right_number_of_filled_dimensions() {
+        let array = |shape: &[u64]| v1::Array {
+            dtype: DataType::Float64.into(),
+            shape: shape.to_vec(),
+            data: vec![0; 8 * shape.iter().product::<u64>() as usize].into(),
+        };
+        let field = |error: ServiceError| error.violations[0].field.clone();
+        for (shape, expected) in [
+            (&[2][..], "design.shape"),
+            (&[0, 2], "design.shape[0]"),
+            (&[u64::MAX, 0], "design.shape[1]"),
+            (&[1, 2, 3], "design.shape"),
+        ] {
+            let empty = v1::Array { data: Vec::new().into(), ..v1::Array::default() };
+            let sized = if shape.contains(&0) { empty } else { array(shape) };
+            let sized = v1::Array { shape: shape.to_vec(), dtype: DataType::Float64.into(), ..sized };
+            assert_eq!(field(directions(Some(sized), Vec::new()).unwrap_err()), expected);
+        }
+        let error = seeds(Some(array(&[1, 3, 2])), None).unwrap_err();
+        assert_eq!(field(error), "vertices.shape[2]");
+        let read = seeds(Some(array(&[2, 5, 3])), Some(array(&[2, 4]))).unwrap();
+        assert_eq!(read.vertices, Some(vec![vec![[0.0; 3]; 5]; 2]));
+        assert_eq!(read.functions, Some(vec![vec![0.0; 4]; 2]));
+        assert_eq!(field(at(None).unwrap_err()), "at");
     }
 
     #[test]

@@ -8,9 +8,12 @@ mod tests;
 use std::{pin::Pin, sync::Arc};
 
 use moldline_proto::{FILE_DESCRIPTOR_SET, v1};
-use moldline_service::{Service, ServiceError, UploadHeader};
+use moldline_service::{At, Product, Service, ServiceError, UploadHeader, Wanted};
 use tokio::sync::mpsc;
-use tokio_stream::{Stream, wrappers::UnboundedReceiverStream};
+use tokio_stream::{
+    Stream,
+    wrappers::{ReceiverStream, UnboundedReceiverStream},
+};
 use tonic::{Request, Response, Status, Streaming, transport::server::Router};
 use tonic_health::server::HealthReporter;
 use v1::mesh_service_server::{MeshService, MeshServiceServer};
@@ -61,6 +64,7 @@ pub struct Grpc {
     service: Arc<Service>,
 }
 
+type Columns = Pin<Box<dyn Stream<Item = Result<v1::JacobianResponse, Status>> + Send>>;
 type Events = Pin<Box<dyn Stream<Item = Result<v1::CreateSetupResponse, Status>> + Send>>;
 
 #[tonic::async_trait]
@@ -91,7 +95,12 @@ impl MeshService for Grpc {
         let request = request.into_inner();
         let setup = self.service.setup(&request.setup_id).map_err(refuse)?;
         let mesh = request.include_mesh.then(|| convert::mesh(&setup));
-        Ok(Response::new(v1::GetSetupResponse { setup: Some(convert::description(&setup)), mesh }))
+        let control_points = match request.include_control_points {
+            true => convert::control_points(&setup).map_err(refuse)?,
+            false => Vec::new(),
+        };
+        let setup = Some(convert::description(&setup));
+        Ok(Response::new(v1::GetSetupResponse { setup, mesh, control_points }))
     }
 
     async fn open_session(
@@ -121,6 +130,76 @@ impl MeshService for Grpc {
         let deformed = self.service.deform(&session_id, design).await.map_err(refuse)?;
         Ok(Response::new(convert::deformed(&deformed, include_cell_quality)))
     }
+
+    async fn apply_jacobian_vector(
+        &self,
+        request: Request<v1::ApplyJacobianVectorRequest>,
+    ) -> Result<Response<v1::ApplyJacobianVectorResponse>, Status> {
+        let v1::ApplyJacobianVectorRequest { session_id, at, design, control_points } = request.into_inner();
+        let at = convert::at(at).map_err(refuse)?;
+        let directions = convert::directions(design, control_points).map_err(refuse)?;
+        let product = self.service.jvp(&session_id, at, directions).await.map_err(refuse)?;
+        Ok(Response::new(convert::jvp(&product)))
+    }
+
+    async fn apply_adjoint(
+        &self,
+        request: Request<v1::ApplyAdjointRequest>,
+    ) -> Result<Response<v1::ApplyAdjointResponse>, Status> {
+        let request = request.into_inner();
+        let at = convert::at(request.at).map_err(refuse)?;
+        let seeds = convert::seeds(request.vertices, request.functions).map_err(refuse)?;
+        let wanted = Wanted { design: request.include_design, control_points: request.control_points_of };
+        let product = self.service.vjp(&request.session_id, at, seeds, wanted).await.map_err(refuse)?;
+        Ok(Response::new(convert::vjp(&product)))
+    }
+
+    type JacobianStream = Columns;
+
+    async fn jacobian(&self, request: Request<v1::JacobianRequest>) -> Result<Response<Columns>, Status> {
+        let v1::JacobianRequest { session_id, at } = request.into_inner();
+        let at = convert::at(at).map_err(refuse)?;
+        // A client that reads slowly holds up its own columns only, and few of them are waiting.
+        let (sender, columns) = mpsc::channel(4);
+        let service = Arc::clone(&self.service);
+        tokio::spawn(async move {
+            let outcome = tokio::select! {
+                outcome = jacobian(&service, &session_id, at, &sender) => outcome,
+                // The client has gone, and with this future the interest in what is computed.
+                () = sender.closed() => return,
+            };
+            if let Err(error) = outcome {
+                let _ = sender.send(Err(refuse(error))).await;
+            }
+        });
+        Ok(Response::new(Box::pin(ReceiverStream::new(columns))))
+    }
+}
+
+/// Computes the columns in large blocks, and sends them in messages of about 1 MiB.
+async fn jacobian(
+    service: &Service,
+    session_id: &str,
+    at: At,
+    sender: &mpsc::Sender<Result<v1::JacobianResponse, Status>>,
+) -> Result<(), ServiceError> {
+    const MESSAGE: usize = 1 << 20;
+    let Product { value: at, mut timing } = service.linearised(session_id, at).await?;
+    let columns = at.columns();
+    let mut first = 0;
+    while first < columns {
+        let block = service.jacobian(&at, first).await?;
+        timing = timing + block.timing;
+        let bytes = block.value.first().map_or(1, |column| size_of_val(&column.vertices[..]).max(1));
+        for some in block.value.chunks((MESSAGE / bytes).max(1)) {
+            let message = convert::jacobian(first, columns, some, std::mem::take(&mut timing));
+            first += some.len();
+            if sender.send(Ok(message)).await.is_err() {
+                return Ok(());
+            }
+        }
+    }
+    Ok(())
 }
 
 /// Receives, builds, and tells about it. Events are few, so the channel need not be bounded.

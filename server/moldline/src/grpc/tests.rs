@@ -94,9 +94,76 @@ async fn a_set_up_goes_up_in_chunks_and_comes_back_described() {
     assert_eq!(deformed.cell_quality.unwrap().skew.unwrap().shape, [description.cell_count]);
     assert_eq!(deformed.quality.unwrap().total.unwrap().cells, description.cell_count);
 
+    let functions = deformed.functions.unwrap();
+    assert_eq!(functions.shape, [description.functions.len() as u64]);
+    derivatives(&mut client, &description, &session_id, deformed.linearisation_id).await;
+
     client.close_session(v1::CloseSessionRequest { session_id }).await.unwrap();
     let status = client.deform(request).await.unwrap_err();
     assert_eq!((status.code(), field(&status)), (Code::NotFound, "session_id".to_owned()));
+}
+
+/// The ball moves along x: so do all its vertices, by a metre a metre.
+async fn derivatives(
+    client: &mut MeshServiceClient<Channel>,
+    description: &v1::SetupDescription,
+    session_id: &str,
+    linearisation_id: String,
+) {
+    let (n, f) = (description.vertex_count, description.functions.len() as u64);
+    let at = Some(v1::LinearisationPoint {
+        at: Some(v1::linearisation_point::At::LinearisationId(linearisation_id)),
+    });
+    let session_id = session_id.to_owned();
+    let ones = |shape: &[u64]| v1::Array {
+        dtype: v1::DataType::Float64.into(),
+        shape: shape.to_vec(),
+        data: (0..shape.iter().product()).flat_map(|_| 1.0_f64.to_le_bytes()).collect(),
+    };
+    let numbers = |array: &v1::Array| -> Vec<f64> {
+        array.data.as_chunks::<8>().0.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect()
+    };
+
+    let request = v1::ApplyJacobianVectorRequest {
+        session_id: session_id.clone(),
+        at: at.clone(),
+        design: Some(ones(&[2, 1])),
+        control_points: Vec::new(),
+    };
+    let tangents = client.apply_jacobian_vector(request).await.unwrap().into_inner();
+    let (of_vertices, of_functions) = (tangents.vertices.unwrap(), tangents.functions.unwrap());
+    assert_eq!((of_vertices.shape.clone(), of_functions.shape), (vec![2, n, 3], vec![2, f]));
+    assert!(numbers(&of_vertices).chunks(3).all(|x| (x[0] - 1.0).abs() < 1e-12 && x[1].abs() < 1e-12));
+
+    let request = v1::ApplyAdjointRequest {
+        session_id: session_id.clone(),
+        at: at.clone(),
+        vertices: Some(ones(&[1, n, 3])),
+        functions: None,
+        include_design: true,
+        control_points_of: vec!["ball".to_owned()],
+    };
+    let gradients = client.apply_adjoint(request.clone()).await.unwrap().into_inner();
+    assert!((numbers(&gradients.design.unwrap())[0] - n as f64).abs() < 1e-9);
+    let by_points = gradients.control_points[0].vectors.clone().unwrap();
+    assert_eq!(by_points.shape, [1, description.control_point_counts[0], 3]);
+    let status = client
+        .apply_adjoint(v1::ApplyAdjointRequest { vertices: Some(ones(&[1, n + 1, 3])), ..request })
+        .await
+        .unwrap_err();
+    assert_eq!((status.code(), field(&status).as_str()), (Code::InvalidArgument, "vertices.shape[1]"));
+
+    let request = v1::JacobianRequest { session_id: session_id.clone(), at };
+    let mut blocks = client.jacobian(request).await.unwrap().into_inner();
+    let block = blocks.message().await.unwrap().unwrap();
+    assert_eq!((block.first, block.columns), (0, 1));
+    assert_eq!(numbers(&block.vertices.unwrap()), numbers(&of_vertices)[..3 * n as usize]);
+    assert!(blocks.message().await.unwrap().is_none());
+
+    let at = v1::linearisation_point::At::LinearisationId("none".to_owned());
+    let request = v1::JacobianRequest { session_id, at: Some(v1::LinearisationPoint { at: Some(at) }) };
+    let status = client.jacobian(request).await.unwrap().into_inner().message().await.unwrap_err();
+    assert_eq!((status.code(), field(&status).as_str()), (Code::NotFound, "at.linearisation_id"));
 }
 
 #[tokio::test]

@@ -1,0 +1,197 @@
+"""An OpenMDAO component: design variables in, vertices and scalar outputs out, with exact derivatives.
+
+    pip install moldline[openmdao]
+
+    problem = om.Problem()
+    mesh = DeformedMesh(session=setup.session())
+    problem.model.add_subsystem("mesh", mesh)
+
+OpenMDAO's names have no dots: ``wing.twist`` is ``wing:twist`` there (:func:`om_name`).
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+import openmdao.api as om
+from numpy.typing import NDArray
+
+from moldline.client import Deformation, DesignPoint, Session
+
+#: OpenMDAO's words for units.
+_UNITS = {"1": None, "percent": "percent", "m^2": "m**2", "m^3": "m**3", "ft^2": "ft**2"}
+
+
+def om_name(name: str) -> str:
+    """The name that OpenMDAO takes for one of Moldline's: dots become colons, what it refuses an underscore."""
+    return re.sub(r"[^A-Za-z0-9_:]", "_", name.replace(".", ":"))
+
+
+class _Mesh(om.ExplicitComponent):  # type: ignore[misc]  # OpenMDAO has no types.
+    """What both components have: inputs, outputs and options."""
+
+    def initialize(self) -> None:
+        self.options.declare("session", types=Session, recordable=False, desc="an open session")
+        self.options.declare("control_points", default=(), desc="components whose control points are inputs")
+        self.options.declare("functions", default=None, desc="scalar outputs that are wanted; all if None")
+
+    def setup(self) -> None:
+        session: Session = self.options["session"]
+        setup = session.setup
+        baseline = setup.baseline
+        #: Input to the entries of a design.
+        self._entries: dict[str, slice] = {}
+        for group in setup.groups.values():
+            unit = setup.variables[group.entries.start].unit if group.entries.stop > group.entries.start else "1"
+            name = om_name(group.name)
+            self._entries[name] = group.entries
+            value = baseline[group.entries].reshape(group.shape or (1,))
+            self.add_input(name, val=value, units=_units(unit), desc=group.name)
+        #: Input to component.
+        self._components: dict[str, str] = {}
+        for component in self.options["control_points"]:
+            if component not in setup.components:
+                raise ValueError(f"there is no component {component!r}; there are: {', '.join(setup.components)}")
+            name = f"{om_name(component)}:control_points"
+            self._components[name] = component
+            self.add_input(name, val=setup.control_points[component], units="m", desc=f"control points of {component}")
+        self.add_output("vertices", val=setup.mesh.vertices, units="m", desc="vertices of the deformed mesh")
+        known = {function.name: function for function in setup.functions}
+        wanted = self.options["functions"]
+        #: Output to function.
+        self._functions: dict[str, str] = {}
+        for function in known if wanted is None else wanted:
+            if function not in known:
+                raise ValueError(f"there is no function {function!r}; there are: {', '.join(known)}")
+            name = om_name(function)
+            self._functions[name] = function
+            self.add_output(name, val=known[function].value, units=_units(known[function].unit), desc=function)
+        self._last: Deformation | None = None
+
+    def compute(self, inputs: Any, outputs: Any) -> None:
+        point = self._point(inputs)
+        session: Session = self.options["session"]
+        result = session.deform(point.design, control_points=point.control_points)
+        outputs["vertices"] = result.vertices
+        for name, function in self._functions.items():
+            outputs[name] = result.functions[function]
+        self._last = result
+
+    def _point(self, inputs: Any) -> DesignPoint:
+        session: Session = self.options["session"]
+        design = np.empty(len(session.setup.variables))
+        for name, entries in self._entries.items():
+            design[entries] = inputs[name].ravel()
+        points = {component: np.array(inputs[name]) for name, component in self._components.items()}
+        return DesignPoint(design, points or None)
+
+    def _at(self, inputs: Any) -> Deformation | DesignPoint:
+        """The last deformation, if it is that of `inputs`: the server then need not make it again."""
+        point = self._point(inputs)
+        if self._last is not None and _same(self._last.linearisation.point, point):
+            return self._last
+        return point
+
+
+class DeformedMesh(_Mesh):
+    """The deformed mesh of a session; derivatives are products, as OpenMDAO asks for them.
+
+    An adjoint costs no more for many variables than for few.
+
+    Inputs: each declared group of design variables, by its name with colons, in its shape and unit; and, for components
+    named in the option `control_points`, their control points as ``NAME:control_points``, (count, 3), metres, in place of
+    what the design makes of them.
+
+    Outputs: `vertices`, (n, 3), metres; and the scalar outputs, each in its unit, by name with colons.
+
+    Options:
+    `session`: an open :class:`moldline.Session`, which is the caller's to close.
+    `control_points`: names of components whose control points are inputs.
+    `functions`: names of the scalar outputs that are wanted; all if `None`.
+    """
+
+    def compute_jacvec_product(self, inputs: Any, d_inputs: Any, d_outputs: Any, mode: str) -> None:
+        if mode == "fwd":
+            self._forward(inputs, d_inputs, d_outputs)
+        else:
+            self._reverse(inputs, d_inputs, d_outputs)
+
+    def _forward(self, inputs: Any, d_inputs: Any, d_outputs: Any) -> None:
+        session: Session = self.options["session"]
+        direction = np.zeros(len(session.setup.variables))
+        for name, entries in self._entries.items():
+            if name in d_inputs:
+                direction[entries] = d_inputs[name].ravel()
+        points = {component: d_inputs[name] for name, component in self._components.items() if name in d_inputs}
+        tangent = session.jvp(direction, control_points=points, at=self._at(inputs))
+        if "vertices" in d_outputs:
+            d_outputs["vertices"] += tangent.vertices
+        for name, function in self._functions.items():
+            if name in d_outputs:
+                d_outputs[name] += tangent.functions[function]
+
+    def _reverse(self, inputs: Any, d_inputs: Any, d_outputs: Any) -> None:
+        session: Session = self.options["session"]
+        vertices = d_outputs["vertices"] if "vertices" in d_outputs else None
+        weights = {function: d_outputs[name].item() for name, function in self._functions.items() if name in d_outputs}
+        components = {name: component for name, component in self._components.items() if name in d_inputs}
+        by_design = any(name in d_inputs for name in self._entries)
+        if (vertices is None and not weights) or not (by_design or components):
+            return
+        gradient = session.vjp(
+            vertices=vertices,
+            functions=weights or None,
+            at=self._at(inputs),
+            design=by_design,
+            control_points=components.values(),
+        )
+        if gradient.design is not None:
+            for name, entries in self._entries.items():
+                if name in d_inputs:
+                    d_inputs[name] += gradient.design[entries].reshape(d_inputs[name].shape)
+        for name, component in components.items():
+            d_inputs[name] += gradient.control_points[component]
+
+
+class DenseDeformedMesh(_Mesh):
+    """As :class:`DeformedMesh`, with derivatives as dense arrays, declared to OpenMDAO.
+
+    Good for few variables and many products. Derivatives by control points are large: three columns for each.
+    """
+
+    def setup_partials(self) -> None:
+        self.declare_partials("*", "*")
+
+    def compute_partials(self, inputs: Any, partials: Any) -> None:
+        session: Session = self.options["session"]
+        at = self._at(inputs)
+        jacobian = session.jacobian(at=at)
+        for name, entries in self._entries.items():
+            columns = jacobian.vertices[entries]
+            partials["vertices", name] = columns.reshape(len(columns), -1).T
+            for output, function in self._functions.items():
+                partials[output, name] = jacobian.functions[function][np.newaxis, entries]
+        for name, component in self._components.items():
+            count = session.setup.control_point_counts[component]
+            directions = np.eye(3 * count).reshape(-1, count, 3)
+            tangents = session.jvp(control_points={component: directions}, at=at)
+            partials["vertices", name] = tangents.vertices.reshape(3 * count, -1).T
+            for output, function in self._functions.items():
+                partials[output, name] = tangents.functions[function][np.newaxis]
+
+
+def _same(one: DesignPoint, other: DesignPoint) -> bool:
+    points, others = one.control_points or {}, other.control_points or {}
+    return np.array_equal(_array(one.design), _array(other.design)) and all(
+        np.array_equal(_array(points[component]), _array(others[component])) for component in others
+    )
+
+
+def _array(values: Any) -> NDArray[np.float64]:
+    return np.asarray(values, dtype=np.float64)
+
+
+def _units(unit: str) -> str | None:
+    return _UNITS.get(unit, unit)

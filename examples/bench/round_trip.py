@@ -1,0 +1,82 @@
+"""What a network between engine and user costs: Deform and ApplyAdjoint through a real server and client, on the E175.
+
+    python round_trip.py --binary target/release/moldline
+
+One JSON object a line: name, value, unit, goal. A round trip's own time is what the caller waits less what the engine took,
+as the server says.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import signal
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import moldline
+import numpy as np
+
+E175 = Path(__file__).resolve().parents[1] / "e175"
+REPEATS = 15
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--binary", type=Path, required=True, help="the moldline program")
+    binary: Path = parser.parse_args().binary
+    command = [str(binary), "serve", "--listen", "127.0.0.1:0", "--log", "warn"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
+        try:
+            assert server.stdout is not None
+            address = json.loads(server.stdout.readline())["address"]
+            with moldline.Client(address) as client:
+                measure(client.create_setup(E175))
+        finally:
+            server.send_signal(signal.SIGTERM)
+
+
+def measure(setup: moldline.Setup) -> None:
+    size = f"{len(setup.variables)} variables, {setup.cell_count} cells"
+    lower, upper = setup.bounds
+    finite = np.isfinite(lower) & np.isfinite(upper)
+    seed = np.random.default_rng(175).normal(size=(setup.vertex_count, 3))
+    with setup.session() as session:
+        rows: dict[str, list[tuple[float, float]]] = {}
+        for repeat in range(REPEATS + 1):
+            design = setup.baseline
+            # Another design each time, all close to the baseline.
+            design[finite] += 1e-4 * repeat * (upper - lower)[finite]
+            deform, result = timed(lambda design=design: session.deform(design))
+            adjoint, _ = timed(lambda result=result: session.vjp(vertices=seed, at=result))
+            jacobian, _ = timed(lambda result=result: session.jacobian(at=result))
+            # The first time everything is slower.
+            if repeat > 0:
+                rows.setdefault("Deform", []).append(deform)
+                rows.setdefault("ApplyAdjoint, one seed", []).append(adjoint)
+                both = (deform[0] + adjoint[0], deform[1] + adjoint[1])
+                rows.setdefault("Deform + ApplyAdjoint", []).append(both)
+                rows.setdefault("Jacobian", []).append(jacobian)
+    for name, seconds in rows.items():
+        tell(f"{name}, round trip, {size}", median(whole for whole, _ in seconds), "measured")
+        goal = "<= 10" if name == "Deform + ApplyAdjoint" else "measured"
+        tell(f"{name}, round trip less engine, {size}", median(whole - engine for whole, engine in seconds), goal)
+
+
+def timed(call: Callable[[], Any]) -> tuple[tuple[float, float], Any]:
+    """Seconds of the call and of the engine, and the result."""
+    start = time.perf_counter()
+    result = call()
+    return (time.perf_counter() - start, result.engine_seconds), result
+
+
+def tell(name: str, seconds: float, goal: str) -> None:
+    print(json.dumps({"name": name, "value": 1e3 * seconds, "unit": "ms", "goal": goal}), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,431 @@
+//! A design as it was asked for, its linearisation, and products with it.
+//!
+//! The outputs are functions of the control points, and these of the design; components whose control points were given
+//! do not depend on the design. Both parts are linearised at once, so that one linearisation serves both kinds of inputs.
+
+use std::{collections::BTreeMap, sync::Arc};
+
+use moldline_deform::{Deformation, Linearisation, Monitor, Setup, Tangent};
+use moldline_parameterisation::{ControlPoints, Override, Parameterisation};
+
+use crate::{
+    error::{ServiceError, shorten},
+    limits::Limits,
+    service::Timing,
+    setups::SetupId,
+};
+
+/// What to deform to.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Design {
+    /// Values of the design variables.
+    pub values: Values,
+    /// Control points from outside, in place of what the values make of a component: its name and its points, metres.
+    pub control_points: Vec<(String, Vec<[f64; 3]>)>,
+}
+
+/// Values of the design variables, each in its variable's unit.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Values {
+    /// Every variable in order.
+    Vector(Vec<f64>),
+    /// Some variables by name; the others stay at their baseline.
+    Named(BTreeMap<String, f64>),
+}
+
+impl Default for Values {
+    fn default() -> Self {
+        Self::Named(BTreeMap::new())
+    }
+}
+
+/// Vectors with an entry for every control point of a component: directions, m, or gradients, 1/m.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ControlPointVectors {
+    /// Name of the component.
+    pub component: String,
+    /// One after the other.
+    pub vectors: Vec<Vec<[f64; 3]>>,
+}
+
+/// Directions of the inputs; what is absent is zero. Parts that are given have as many directions.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Directions {
+    /// Of the design variables, each entry in its variable's unit.
+    pub design: Option<Vec<Vec<f64>>>,
+    /// Of the control points of some components, on top of what the design does to them.
+    pub control_points: Vec<ControlPointVectors>,
+}
+
+/// Weights of the outputs; what is absent is zero. Parts that are given have as many.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Seeds {
+    /// Of the vertices, per metre.
+    pub vertices: Option<Vec<Vec<[f64; 3]>>>,
+    /// Of the functions, each per its unit.
+    pub functions: Option<Vec<Vec<f64>>>,
+}
+
+/// Inputs by which gradients are wanted.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Wanted {
+    /// The design variables.
+    pub design: bool,
+    /// The control points of these components.
+    pub control_points: Vec<String>,
+}
+
+/// Gradients of some seeds.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Gradients {
+    /// By the design variables, per unit of each, if wanted.
+    pub design: Option<Vec<Vec<f64>>>,
+    /// By control points, in the order in which they were wanted.
+    pub control_points: Vec<ControlPointVectors>,
+}
+
+/// A design that has been checked, before it takes a place in the queue.
+pub(crate) struct Resolved {
+    vector: Vec<f64>,
+    overrides: Vec<Override>,
+}
+
+impl Resolved {
+    pub fn new(parameterisation: &Parameterisation, design: Design) -> Result<Self, ServiceError> {
+        let vector = match &design.values {
+            Values::Vector(vector) => vector.clone(),
+            Values::Named(values) => {
+                parameterisation.design(values.iter().map(|(name, &value)| (name.as_str(), value)))?
+            }
+        };
+        parameterisation.validate(&vector)?;
+        let overrides = design.control_points.into_iter().map(|(name, control_points)| {
+            Ok(Override { component: component(&name, "control_points", parameterisation)?, control_points })
+        });
+        Ok(Self { vector, overrides: overrides.collect::<Result<_, ServiceError>>()? })
+    }
+
+    /// A name for (set-up, design): the same for the same, on any server.
+    pub fn id(&self, setup: &SetupId) -> String {
+        let mut hasher = blake3::Hasher::new();
+        hasher.update(setup.as_str().as_bytes());
+        for value in &self.vector {
+            hasher.update(&value.to_le_bytes());
+        }
+        for Override { component, control_points } in &self.overrides {
+            hasher.update(&(*component as u64).to_le_bytes());
+            for value in control_points.iter().flatten() {
+                hasher.update(&value.to_le_bytes());
+            }
+        }
+        hasher.finalize().to_hex().to_string()
+    }
+
+    /// Deforms, and keeps what products need.
+    pub fn linearise(
+        self,
+        id: String,
+        setup: &Arc<Setup>,
+        monitor: &dyn Monitor,
+    ) -> Result<Linearised, ServiceError> {
+        let points = setup.parameterisation().control_points_with(&self.vector, &self.overrides)?;
+        let engine = setup.linearise_control_points(&points, monitor)?;
+        let given = self.overrides.iter().map(|given| given.component).collect();
+        Ok(Linearised { id, design: self.vector, given, engine, timing: Timing::default() })
+    }
+}
+
+/// A deformed mesh with its derivative.
+#[derive(Debug)]
+pub struct Linearised {
+    id: String,
+    design: Vec<f64>,
+    /// Components whose control points were given.
+    given: Vec<usize>,
+    engine: Linearisation,
+    /// Of the deformation.
+    timing: Timing,
+}
+
+impl Linearised {
+    /// Names set-up and design in requests for derivatives.
+    pub fn id(&self) -> &str {
+        &self.id
+    }
+
+    /// The mesh.
+    pub fn deformation(&self) -> &Deformation {
+        self.engine.deformation()
+    }
+
+    /// How long it took to make.
+    pub fn timing(&self) -> Timing {
+        self.timing
+    }
+
+    /// The same, with how long it took.
+    pub(crate) fn taking(self, timing: Timing) -> Self {
+        Self { timing, ..self }
+    }
+
+    /// How many design variables there are: columns of the Jacobian.
+    pub fn columns(&self) -> usize {
+        self.design.len()
+    }
+
+    /// Bytes that it holds besides the set-up.
+    pub fn bytes(&self) -> usize {
+        self.engine.bytes() + size_of_val(&self.design[..])
+    }
+
+    /// Bytes of one vector for all vertices and control points.
+    pub(crate) fn vector_bytes(&self) -> usize {
+        vector_bytes(self.engine.setup())
+    }
+
+    /// Columns of the Jacobian from the `first` one on, `count` at most.
+    pub(crate) fn jacobian(&self, first: usize, count: usize) -> Result<Vec<Tangent>, ServiceError> {
+        let columns = first..self.columns().min(first + count);
+        let unit = |column| {
+            let mut direction = vec![0.0; self.columns()];
+            direction[column] = 1.0;
+            direction
+        };
+        let count = columns.len();
+        let design = Some(columns.map(unit).collect());
+        self.jvp(&CheckedDirections { count, design, control_points: Vec::new() })
+    }
+
+    /// Changes of the outputs.
+    pub(crate) fn jvp(&self, directions: &CheckedDirections) -> Result<Vec<Tangent>, ServiceError> {
+        let setup = self.engine.setup();
+        let mut all: Vec<ControlPoints> = match &directions.design {
+            Some(design) => setup.parameterisation().linearise(&self.design)?.jvp(design)?,
+            None => {
+                let points = |count| vec![[0.0; 3]; count];
+                let zero: ControlPoints = control_point_counts(setup).map(points).collect();
+                vec![zero; directions.count]
+            }
+        };
+        self.forget_given(&mut all);
+        for (component, vectors) in &directions.control_points {
+            for (points, vector) in all.iter_mut().zip(vectors) {
+                let coordinates = points[*component].as_flattened_mut();
+                coordinates.iter_mut().zip(vector.as_flattened()).for_each(|(sum, x)| *sum += x);
+            }
+        }
+        Ok(self.engine.jvp_control_points(&all)?)
+    }
+
+    /// Gradients by what is wanted.
+    pub(crate) fn vjp(&self, seeds: &[Tangent], wanted: &CheckedWanted) -> Result<Gradients, ServiceError> {
+        let parameterisation = self.engine.setup().parameterisation();
+        let mut all: Vec<ControlPoints> =
+            self.engine.vjp(seeds)?.into_iter().map(|gradient| gradient.control_points).collect();
+        let of = |&component: &usize| ControlPointVectors {
+            component: parameterisation.components()[component].clone(),
+            vectors: all.iter().map(|gradient| gradient[component].clone()).collect(),
+        };
+        let control_points = wanted.control_points.iter().map(of).collect();
+        let design = if wanted.design {
+            self.forget_given(&mut all);
+            Some(parameterisation.linearise(&self.design)?.vjp(&all)?)
+        } else {
+            None
+        };
+        Ok(Gradients { design, control_points })
+    }
+
+    /// Cuts the way from the design to components whose control points were given.
+    fn forget_given(&self, all: &mut [ControlPoints]) {
+        for points in all {
+            self.given.iter().for_each(|&component| points[component].fill([0.0; 3]));
+        }
+    }
+}
+
+/// Directions that fit the set-up.
+pub(crate) struct CheckedDirections {
+    count: usize,
+    design: Option<Vec<Vec<f64>>>,
+    /// By component.
+    control_points: Vec<(usize, Vec<Vec<[f64; 3]>>)>,
+}
+
+impl Directions {
+    /// # Errors
+    /// `InvalidArgument` naming what does not fit.
+    pub(crate) fn check(self, setup: &Setup, limits: &Limits) -> Result<CheckedDirections, ServiceError> {
+        let parameterisation = setup.parameterisation();
+        let mut count = Count::new(setup, limits);
+        if let Some(design) = &self.design {
+            count.add("design", design.len())?;
+            let variables = parameterisation.variables();
+            check("design", design, variables.len(), "design variables")?;
+        }
+        let counts: Vec<usize> = control_point_counts(setup).collect();
+        let mut control_points: Vec<(usize, _)> = Vec::with_capacity(self.control_points.len());
+        for ControlPointVectors { component: name, vectors } in self.control_points {
+            let component = component(&name, "control_points", parameterisation)?;
+            let field = format!("control_points[\"{name}\"]");
+            if control_points.iter().any(|(other, _)| *other == component) {
+                return Err(ServiceError::invalid(field, "the component occurs twice"));
+            }
+            count.add(&field, vectors.len())?;
+            check_points(&field, &vectors, counts[component], "control points")?;
+            control_points.push((component, vectors));
+        }
+        let count =
+            count.of_all("design", "there is no direction: send `design`, `control_points` or both")?;
+        Ok(CheckedDirections { count, design: self.design, control_points })
+    }
+}
+
+impl Seeds {
+    /// # Errors
+    /// `InvalidArgument` naming what does not fit.
+    pub(crate) fn check(self, setup: &Setup, limits: &Limits) -> Result<Vec<Tangent>, ServiceError> {
+        let (vertices, functions) = (setup.mesh().vertices.len(), setup.functions().len());
+        let mut count = Count::new(setup, limits);
+        if let Some(seeds) = &self.vertices {
+            count.add("vertices", seeds.len())?;
+            check_points("vertices", seeds, vertices, "vertices")?;
+        }
+        if let Some(seeds) = &self.functions {
+            count.add("functions", seeds.len())?;
+            check("functions", seeds, functions, "functions")?;
+        }
+        let count = count.of_all("vertices", "there is no seed: send `vertices`, `functions` or both")?;
+        let of_vertices = self.vertices.unwrap_or_else(|| vec![vec![[0.0; 3]; vertices]; count]);
+        let of_functions = self.functions.unwrap_or_else(|| vec![vec![0.0; functions]; count]);
+        let both = of_vertices.into_iter().zip(of_functions);
+        Ok(both.map(|(vertices, functions)| Tangent { vertices, functions }).collect())
+    }
+}
+
+/// What is wanted, by index.
+pub(crate) struct CheckedWanted {
+    design: bool,
+    control_points: Vec<usize>,
+}
+
+impl Wanted {
+    /// # Errors
+    /// `InvalidArgument` if nothing is wanted, or of a component that there is not.
+    pub(crate) fn check(self, parameterisation: &Parameterisation) -> Result<CheckedWanted, ServiceError> {
+        let mut control_points = Vec::with_capacity(self.control_points.len());
+        for name in &self.control_points {
+            let component = component(name, "control_points_of", parameterisation)?;
+            if control_points.contains(&component) {
+                let field = format!("control_points_of[\"{name}\"]");
+                return Err(ServiceError::invalid(field, "the component occurs twice"));
+            }
+            control_points.push(component);
+        }
+        if !self.design && control_points.is_empty() {
+            return Err(ServiceError::invalid(
+                "include_design",
+                "no gradient is asked for: set `include_design`, name components in `control_points_of`, or both",
+            ));
+        }
+        Ok(CheckedWanted { design: self.design, control_points })
+    }
+}
+
+/// How many vectors the parts of a request have.
+struct Count<'a> {
+    limits: &'a Limits,
+    /// Of one vector.
+    bytes: usize,
+    /// Of the parts so far, and the first one's name.
+    known: Option<(String, usize)>,
+}
+
+fn vector_bytes(setup: &Setup) -> usize {
+    size_of::<[f64; 3]>() * (setup.mesh().vertices.len() + control_point_counts(setup).sum::<usize>())
+}
+
+impl<'a> Count<'a> {
+    fn new(setup: &Setup, limits: &'a Limits) -> Self {
+        Self { limits, bytes: vector_bytes(setup), known: None }
+    }
+
+    fn add(&mut self, field: &str, count: usize) -> Result<(), ServiceError> {
+        let shape = format!("{field}.shape[0]");
+        let most = (self.limits.vector_bytes / self.bytes.max(1)).clamp(1, self.limits.vectors.max(1));
+        if !(1..=most).contains(&count) {
+            return Err(ServiceError::invalid(
+                shape,
+                format!("{count} vectors are outside 1..={most}; send them in several requests"),
+            ));
+        }
+        match &self.known {
+            Some((first, known)) if *known != count => Err(ServiceError::invalid(
+                shape,
+                format!("{count} vectors, but `{first}` has {known}; all parts of a request have as many"),
+            )),
+            Some(_) => Ok(()),
+            None => {
+                self.known = Some((field.to_owned(), count));
+                Ok(())
+            }
+        }
+    }
+
+    fn of_all(self, field: &str, none: &str) -> Result<usize, ServiceError> {
+        self.known.map(|(_, count)| count).ok_or_else(|| ServiceError::invalid(field, none))
+    }
+}
+
+fn check(field: &str, vectors: &[Vec<f64>], length: usize, what: &str) -> Result<(), ServiceError> {
+    for (k, vector) in vectors.iter().enumerate() {
+        check_length(field, vector.len(), length, what)?;
+        if let Some(i) = vector.iter().position(|x| !x.is_finite()) {
+            return Err(not_finite(format!("{field}[{k}][{i}]"), vector[i]));
+        }
+    }
+    Ok(())
+}
+
+fn check_points(
+    field: &str,
+    vectors: &[Vec<[f64; 3]>],
+    length: usize,
+    what: &str,
+) -> Result<(), ServiceError> {
+    for (k, vector) in vectors.iter().enumerate() {
+        check_length(field, vector.len(), length, what)?;
+        if let Some(i) = vector.as_flattened().iter().position(|x| !x.is_finite()) {
+            let (point, axis) = (i / 3, i % 3);
+            return Err(not_finite(format!("{field}[{k}][{point}][{axis}]"), vector[point][axis]));
+        }
+    }
+    Ok(())
+}
+
+fn check_length(field: &str, found: usize, expected: usize, what: &str) -> Result<(), ServiceError> {
+    if found == expected {
+        return Ok(());
+    }
+    let description = format!("{found} entries in a vector, expected {expected}, the number of {what}");
+    Err(ServiceError::invalid(format!("{field}.shape[1]"), description))
+}
+
+fn not_finite(field: String, value: f64) -> ServiceError {
+    let description = format!("{field} = {value} is not finite");
+    ServiceError::invalid(field, description)
+}
+
+fn control_point_counts(setup: &Setup) -> impl Iterator<Item = usize> + '_ {
+    setup.components().iter().map(|component| component.user_control_point_count())
+}
+
+/// Index of the component that `field` names.
+fn component(name: &str, field: &str, parameterisation: &Parameterisation) -> Result<usize, ServiceError> {
+    parameterisation.components().iter().position(|known| known == name).ok_or_else(|| {
+        ServiceError::invalid(
+            format!("{field}[\"{}\"]", shorten(name)),
+            format!("there is no such component; there are: {}", parameterisation.components().join(", ")),
+        )
+    })
+}
