@@ -293,6 +293,9 @@ impl<'a> DualBody<'a> {
             let length = length(&d);
             if along.re < 0.0 { -length } else { length }
         };
+        // Beside an edge or a corner the gradient points away from it.
+        let beside = found.feature != Feature::Face && distance.re.abs() > 1e-12 * self.body.size();
+        let normal = if beside { d / distance } else { normal };
         Foot { at, position, normal, distance }
     }
 

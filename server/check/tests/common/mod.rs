@@ -1,4 +1,6 @@
 //! Set-ups for the tests.
+// Not every test uses all of it.
+#![allow(dead_code)]
 
 use std::path::Path;
 

@@ -415,7 +415,7 @@ mod tests {
         for (shape, expected) in [
             (&[2][..], "design.shape"),
             (&[0, 2], "design.shape[0]"),
-            (&[u64::MAX, 0], "design.shape[1]"),
+            (&[u64::MAX, 0], "design.data"),
             (&[1, 2, 3], "design.shape"),
         ] {
             let empty = v1::Array { data: Vec::new().into(), ..v1::Array::default() };

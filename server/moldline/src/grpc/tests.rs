@@ -72,7 +72,11 @@ async fn a_set_up_goes_up_in_chunks_and_comes_back_described() {
     assert_eq!(description.variables[0].name, "ball.x");
     assert_eq!(description.variables[0].upper, 2.0);
 
-    let request = v1::GetSetupRequest { setup_id: created.setup_id.clone(), include_mesh: true };
+    let request = v1::GetSetupRequest {
+        setup_id: created.setup_id.clone(),
+        include_mesh: true,
+        include_control_points: false,
+    };
     let got = client.get_setup(request).await.unwrap().into_inner();
     assert_eq!(got.setup, Some(description.clone()));
     let mesh = got.mesh.unwrap();
