@@ -471,7 +471,10 @@ fn against_dual(
         dual: relative_error(&tangent.vertices, &exact),
         worst_vertex: worst.unwrap_or(0),
         // Not "not within": an error that is not a number is one too.
-        first_off: steps.iter().find(|(_, error)| !(*error <= tolerance)).map(|(step, _)| *step),
+        first_off: steps
+            .iter()
+            .find(|(_, error)| error.is_nan() || *error > tolerance)
+            .map(|(step, _)| *step),
         steps,
         differences: Vec::new(),
         functions: 0.0,

@@ -152,7 +152,7 @@ impl DualSeams<'_> {
                 }
                 scale *= 0.5;
             };
-            if !(miss(next) < distance) {
+            if miss(next).is_nan() || miss(next) >= distance {
                 break;
             }
             (lambda, distance) = (next, miss(next));

@@ -84,8 +84,8 @@ fn descent_slides_along_the_fuselage_from_far_hints() {
             9 => hint.u = u.1,
             _ => {}
         }
-        // From the far side the nearest point need not be downhill.
-        let same_side = b.normal(&hint).dot(&b.normal(&target)) > 0.3;
+        // From around a corner of the section the nearest point need not be downhill: the tail cone is tall and narrow.
+        let same_side = b.normal(&hint).dot(&b.normal(&target)) > 0.7;
         let pole = hint.u == u.0 || hint.u == u.1;
         if (b.position(&hint) - x).norm() > 5.0 || !(same_side || pole) {
             continue;
