@@ -61,8 +61,11 @@ pub fn run(options: &config::Check) -> Result<(), Failure> {
             say(&format_args!("wrote {}", path.display()))?;
         }
     }
-    let off: Vec<&str> =
-        maxima.iter().filter(|(_, error, goal)| !(error <= goal)).map(|(name, ..)| *name).collect();
+    let off: Vec<&str> = maxima
+        .iter()
+        .filter(|(_, error, goal)| error.is_nan() || error > goal)
+        .map(|(name, ..)| *name)
+        .collect();
     if off.is_empty() { Ok(()) } else { Err(Failure::Derivatives(off.join(", "))) }
 }
 

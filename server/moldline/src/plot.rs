@@ -68,7 +68,7 @@ fn draw(
         .draw()?;
     let colour = |g: usize| {
         let hue = g as f64 / groups.len().max(1) as f64;
-        HSLColor(hue, 0.75, if g % 2 == 0 { 0.42 } else { 0.55 })
+        HSLColor(hue, 0.75, if g.is_multiple_of(2) { 0.42 } else { 0.55 })
     };
     for variable in &check.variables {
         let group = groups.iter().position(|g| g.range.contains(&variable.variable)).unwrap_or(0);
