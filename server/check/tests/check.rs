@@ -113,7 +113,8 @@ fn a_mistake_is_found_and_named() {
     let setup = setup("tests/configurations/boom", |_| {});
     let design = design(&setup, 0.5);
     let mut linear = Jacobian::new(&setup, &design);
-    let mistakes: [(fn(&mut Stages), Step); 3] = [
+    type Mistake = (fn(&mut Stages), Step);
+    let mistakes: [Mistake; 3] = [
         (|s| s.seam_parameters.iter_mut().for_each(|p| p[0][0] *= 1.0 + 1e-8), Step::SeamParameters),
         (|s| s.displacements.iter_mut().for_each(|d| *d *= 1.0 + 1e-8), Step::Displacements),
         (|s| s.vertices.iter_mut().for_each(|x| *x *= 1.0 + 1e-8), Step::Vertices),
