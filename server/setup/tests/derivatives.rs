@@ -114,8 +114,11 @@ fn dot_product_gap(linearisation: &Linearisation, k: usize, random: &mut Random)
     worst
 }
 
+/// A name, and a change of the options.
+type Variant = (&'static str, fn(&mut Options));
+
 /// All that changes the chain of operations.
-fn variants() -> Vec<(&'static str, fn(&mut Options))> {
+fn variants() -> Vec<Variant> {
     vec![
         ("sharp", |_| {}),
         ("smooth", |o| o.outer_mold_line = OuterMoldLine::Smooth),
@@ -243,7 +246,7 @@ fn control_points_are_inputs_too() {
     let control_points = setup.parameterisation().control_points(&design).unwrap();
     let by_design = setup.linearise(&design, &Silent).unwrap();
     let by_points = setup.linearise_control_points(&control_points, &Silent).unwrap();
-    assert!(matches!(by_points.jvp(&[design.clone()]), Err(DeformError::NoDesign)));
+    assert!(matches!(by_points.jvp(std::slice::from_ref(&design)), Err(DeformError::NoDesign)));
 
     // A direction in design space is one of control points.
     let direction: Vec<f64> = design.iter().map(|_| random.between(-1.0, 1.0)).collect();
