@@ -42,11 +42,13 @@ fn json(mut builder: Builder, descriptors: &FileDescriptorSet) -> Builder {
                     field.oneof_index == Some(index as i32) && !field.proto3_optional()
                 };
                 if message.field.iter().find(real).is_some() {
-                    let path = format!("{path}.{}", oneof.name());
+                    let full = format!("{path}.{}", oneof.name());
+                    // The end of a path, since what begins with the whole one are its variants too.
+                    let field = format!("{}.{}", message.name(), oneof.name());
                     builder = builder
-                        .enum_attribute(&path, DERIVE)
-                        .enum_attribute(&path, WORDS)
-                        .field_attribute(&path, "#[serde(flatten, skip_serializing_if = \"Option::is_none\")]");
+                        .enum_attribute(&full, DERIVE)
+                        .enum_attribute(&full, WORDS)
+                        .field_attribute(&field, "#[serde(flatten, skip_serializing_if = \"Option::is_none\")]");
                 }
             }
             for field in &message.field {

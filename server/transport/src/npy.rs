@@ -194,8 +194,9 @@ pub fn read_npz(file: Bytes, limit: usize) -> Result<Vec<(String, Array)>, Servi
     let mut arrays: Vec<(String, Array)> = Vec::with_capacity(archive.len());
     for index in 0..archive.len() {
         let member = archive.by_index(index).map_err(unreadable)?;
-        let Some(name) = member.name().strip_suffix(".npy").map(str::to_owned) else {
-            let name: String = member.name().chars().take(64).collect();
+        let name = member.name().map_err(unreadable)?.into_owned();
+        let Some(name) = name.strip_suffix(".npy").map(str::to_owned) else {
+            let name: String = name.chars().take(64).collect();
             return Err(ServiceError::invalid("body", format!("`{name}` in it is not a .npy file")));
         };
         // What the directory says of the size need not be true: reading stops at the limit.

@@ -147,3 +147,55 @@ pub fn refuse(grpc: bool, error: ServiceError) -> Response {
         false => Refusal::from(error).into_response(),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+    use crate::code::grpc_name;
+
+    fn error() -> ServiceError {
+        ServiceError::invalid("design[3]", "design[3] = NaN is not finite").retry_after(Duration::from_millis(1500))
+    }
+
+    #[test]
+    fn violations_and_delays_are_in_the_details() {
+        let status = status(error());
+        assert_eq!(status.code(), tonic::Code::InvalidArgument);
+        assert_eq!(status.message(), "design[3] = NaN is not finite");
+        let details = status.get_error_details();
+        let violations = &details.bad_request().unwrap().field_violations;
+        assert_eq!(violations.len(), 1);
+        assert_eq!(violations[0].field, "design[3]");
+        assert_eq!(details.error_info().unwrap().reason, "INVALID_ARGUMENT");
+        assert_eq!(details.retry_info().unwrap().retry_delay, Some(Duration::from_millis(1500)));
+    }
+
+    #[test]
+    fn a_problem_says_the_same() {
+        let refusal = Refusal::from(error());
+        assert_eq!(
+            serde_json::to_value(refusal.problem()).unwrap(),
+            serde_json::json!({
+                "type": "urn:moldline:error:INVALID_ARGUMENT", "title": "Bad Request", "status": 400,
+                "detail": "design[3] = NaN is not finite", "code": "INVALID_ARGUMENT",
+                "violations": [{ "field": "design[3]", "description": "design[3] = NaN is not finite" }],
+                "retry_after_seconds": 1.5,
+            })
+        );
+        let response = refusal.into_response();
+        assert_eq!(response.headers()[header::CONTENT_TYPE], "application/problem+json");
+        // Whole seconds, and never too early.
+        assert_eq!(response.headers()[header::RETRY_AFTER], "2");
+    }
+
+    #[test]
+    fn codes_have_the_same_name_everywhere() {
+        for code in [Code::Aborted, Code::Unavailable, Code::PermissionDenied, Code::DeadlineExceeded, Code::Internal] {
+            assert_eq!(grpc_name(codes(code).0), code.name());
+        }
+        let unauthenticated = refuse(false, ServiceError::new(Code::Unauthenticated, "who?"));
+        assert_eq!(unauthenticated.headers()[header::WWW_AUTHENTICATE], "Bearer");
+    }
+}
