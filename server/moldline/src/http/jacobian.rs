@@ -7,7 +7,7 @@ use axum::{
     response::Response,
 };
 use moldline_proto::v1::{self, Array, DataType};
-use moldline_service::{Code, Principal, ServiceError};
+use moldline_service::{Code, ServiceError};
 use moldline_transport::{
     Answer, Caller, Deadline, Id, Problem, Query,
     media::{self, ARRAYS, Media},
@@ -15,9 +15,12 @@ use moldline_transport::{
 };
 use tokio::sync::mpsc;
 use tokio_stream::{StreamExt, wrappers::ReceiverStream};
-use tracing::{Instrument, Span};
 
-use super::{Http, documents, replies::server_timing, sessions::{AtQuery, Sent}};
+use super::{
+    Http, documents,
+    replies::{Reply, server_timing},
+    sessions::{AtQuery, Sent},
+};
 
 type Block = Result<v1::JacobianResponse, ServiceError>;
 
@@ -55,35 +58,12 @@ pub async fn jacobian(
         Sent::Arrays(arrays) => arrays.jacobian(id, query.linearisation_id)?,
     };
     let limit = http.max_body;
-    let mut blocks = start(http, caller, deadline, request);
+    let mut blocks = http.meshes.jacobian(caller, deadline, request);
     let first = blocks.recv().await.unwrap_or_else(|| Err(cut_off()))?;
     match media {
         Media::Npy | Media::Octets => stream(media, first, blocks),
-        _ => media::reply(media, collect(first, blocks, limit).await?),
+        _ => collect(first, blocks, limit).await?.respond(media),
     }
-}
-
-/// Computes apart from the request, as fast as somebody takes the blocks.
-fn start(
-    http: Http,
-    caller: Principal,
-    deadline: Deadline,
-    request: v1::JacobianRequest,
-) -> mpsc::Receiver<Block> {
-    let (sender, blocks) = mpsc::channel(4);
-    let work = async move {
-        let send = async |block| sender.send(Ok(block)).await.is_ok();
-        let outcome = tokio::select! {
-            outcome = deadline.limit(http.meshes.jacobian(&caller, request, send), |error| error) => outcome,
-            // The client has gone, and with this future the interest in what is computed.
-            () = sender.closed() => return,
-        };
-        if let Err(error) = outcome {
-            let _ = sender.send(Err(error)).await;
-        }
-    };
-    tokio::spawn(work.instrument(Span::current()));
-    blocks
 }
 
 fn cut_off() -> ServiceError {

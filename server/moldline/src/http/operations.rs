@@ -2,6 +2,7 @@
 //! what they have built is stored, and posting the same content again finds it.
 
 use std::{
+    pin::Pin,
     sync::{Mutex, MutexGuard, PoisonError},
     time::{Duration, Instant},
 };
@@ -44,6 +45,9 @@ pub struct Operation {
 /// Tells about progress.
 pub type Tell = Box<dyn FnMut(v1::Progress) + Send>;
 
+/// What an operation does.
+pub type Work = Pin<Box<dyn Future<Output = Answer<v1::CreatedSetup>> + Send>>;
+
 /// Operations that run, and those that ended not long ago.
 #[derive(Debug, Default)]
 pub struct Operations(Mutex<Vec<Entry>>);
@@ -77,14 +81,11 @@ impl Operations {
     ///
     /// # Errors
     /// `ResourceExhausted` if there are too many.
-    pub async fn start<F>(
+    pub async fn start(
         &self,
         caller: &Principal,
-        work: impl FnOnce(Tell) -> F,
-    ) -> Answer<Response>
-    where
-        F: Future<Output = Answer<v1::CreatedSetup>> + Send + 'static,
-    {
+        work: impl FnOnce(Tell) -> Work,
+    ) -> Answer<Response> {
         let (sender, mut course) = watch::channel(Course::default());
         let id = Uuid::new_v4().simple().to_string();
         let teller = sender.clone();

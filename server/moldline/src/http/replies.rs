@@ -1,7 +1,27 @@
 //! Which arrays answers have, and what travels beside them in headers.
 
+use axum::response::Response;
 use moldline_proto::v1::{self, Array, design_point};
-use moldline_transport::media::Reply;
+use moldline_transport::{
+    Answer,
+    media::{self, Media},
+};
+use serde::Serialize;
+
+/// An answer with arrays.
+pub trait Reply: Serialize + Sized {
+    /// Takes the arrays out of it, each with its name; the main one is the first.
+    fn take_arrays(&mut self) -> Vec<(String, Array)>;
+
+    /// What belongs into headers where only the main array travels.
+    fn headers(&self) -> Vec<(&'static str, String)>;
+
+    /// As the client wants it.
+    fn respond(self, media: Media) -> Answer<Response> {
+        let headers = self.headers();
+        media::reply(media, self, Self::take_arrays, &headers)
+    }
+}
 
 /// Names an answer's linearisation.
 const LINEARISATION_ID: &str = "moldline-linearisation-id";

@@ -19,6 +19,7 @@ use super::{
     arrays::Arrays,
     documents::{Deform, Jvp, OpenSession, UpdateSession, Vjp},
     idempotency_key,
+    replies::Reply,
     setups::Page,
 };
 
@@ -127,7 +128,7 @@ pub async fn get_session(
     headers: HeaderMap,
 ) -> Answer<Response> {
     let media = Media::accepted(&headers, &ARRAYS)?;
-    media::reply(media, http.meshes.get_session(&caller, v1::GetSessionRequest { session_id }).await?)
+    http.meshes.get_session(&caller, v1::GetSessionRequest { session_id }).await?.respond(media)
 }
 
 /// Stores a session's design
@@ -226,7 +227,7 @@ pub async fn deform(
         Sent::Document(document) => Deform::message(document, id),
         Sent::Arrays(arrays) => arrays.deform(id, query.include_cell_quality)?,
     };
-    media::reply(media, http.meshes.deform(&caller, request).await?)
+    http.meshes.deform(&caller, request).await?.respond(media)
 }
 
 /// Where a derivative is taken, if the body comes as arrays.
@@ -271,7 +272,7 @@ pub async fn apply_jacobian_vector(
         Sent::Document(document) => Jvp::message(document, id),
         Sent::Arrays(arrays) => arrays.jvp(id, query.linearisation_id)?,
     };
-    media::reply(media, http.meshes.apply_jacobian_vector(&caller, request).await?)
+    http.meshes.apply_jacobian_vector(&caller, request).await?.respond(media)
 }
 
 /// What seeds that come as arrays do not say.
@@ -325,5 +326,5 @@ pub async fn apply_adjoint(
             arrays.vjp(id, query.linearisation_id, query.include_design, components)?
         }
     };
-    media::reply(media, http.meshes.apply_adjoint(&caller, request).await?)
+    http.meshes.apply_adjoint(&caller, request).await?.respond(media)
 }

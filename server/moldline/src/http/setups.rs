@@ -12,7 +12,7 @@ use moldline_proto::v1;
 use moldline_service::{Principal, ServiceError};
 use moldline_transport::{
     Answer, Caller, Deadline, Id, Problem, Query, Refusal,
-    media::{self, ARRAYS, Media},
+    media::{self, ARRAYS, Chunks, Media},
 };
 use serde::Deserialize;
 use tokio::{
@@ -27,7 +27,8 @@ use super::{
     Http,
     documents::{ShareSetup, Visibility},
     idempotency_key,
-    operations::{Operation, Tell},
+    operations::{Operation, Tell, Work},
+    replies::Reply,
 };
 use crate::convert;
 
@@ -86,7 +87,9 @@ pub async fn create_setup(
     let prefer = headers.get_all("prefer").iter();
     if prefer.filter_map(|value| value.to_str().ok()).any(|value| value.contains("respond-async")) {
         let (operations, owner) = (Arc::clone(&http.operations), caller.clone());
-        let work = move |tell: Tell| async move { receive(&http, &caller, header, body, tell).await };
+        let work = move |tell: Tell| -> Work {
+            Box::pin(async move { receive(&http, &caller, header, body, tell).await })
+        };
         return operations.start(&owner, work).await;
     }
     let created = receive(&http, &caller, header, body, |_| {}).await?;
@@ -146,23 +149,13 @@ async fn receive(
     http: &Http,
     caller: &Principal,
     header: v1::SetupHeader,
-    mut body: Body,
+    body: Body,
     tell: impl FnMut(v1::Progress),
 ) -> Answer<v1::CreatedSetup> {
     let header = convert::upload(header)?;
     let most = http.meshes.service().limits().chunk_bytes;
-    let mut rest = Bytes::new();
-    let next = async || {
-        while rest.is_empty() {
-            match media::next(&mut body).await? {
-                None => return Ok::<_, Refusal>(None),
-                Some(data) => rest = data,
-            }
-        }
-        let some = rest.split_to(rest.len().min(most));
-        Ok(Some((0, some)))
-    };
-    http.meshes.create_setup(caller, header, next, tell, Refusal::from).await
+    let parts = Chunks::new(body, most).map(|data| Ok((0, data?)));
+    http.meshes.create_setup(caller, header, parts, tell, Refusal::from).await
 }
 
 /// The same as server-sent events.
@@ -278,7 +271,7 @@ pub async fn get_setup(
 ) -> Answer<Response> {
     let media = Media::accepted(&headers, &ARRAYS)?;
     let request = v1::GetSetupRequest { setup_id, include_mesh, include_control_points };
-    media::reply(media, http.meshes.get_setup(&caller, request).await?)
+    http.meshes.get_setup(&caller, request).await?.respond(media)
 }
 
 /// Gives up a set-up of the caller's own
