@@ -12,7 +12,7 @@ use moldline_transport::{
     media::{self, ARRAYS, Media},
 };
 use serde::{Deserialize, de::DeserializeOwned};
-use utoipa::IntoParams;
+
 
 use super::{
     Http,
@@ -184,7 +184,7 @@ pub async fn close_session(
 }
 
 /// What a design that comes as arrays does not say.
-#[derive(Debug, Deserialize, IntoParams)]
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct DeformQuery {
@@ -231,7 +231,7 @@ pub async fn deform(
 }
 
 /// Where a derivative is taken, if the body comes as arrays.
-#[derive(Debug, Deserialize, IntoParams)]
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct AtQuery {
@@ -276,7 +276,7 @@ pub async fn apply_jacobian_vector(
 }
 
 /// What seeds that come as arrays do not say.
-#[derive(Debug, Deserialize, IntoParams)]
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct VjpQuery {

@@ -21,7 +21,7 @@ use tokio::{
 };
 use tokio_stream::{StreamExt, wrappers::UnboundedReceiverStream};
 use tracing::{Instrument, Span};
-use utoipa::IntoParams;
+
 
 use super::{
     Http,
@@ -33,7 +33,7 @@ use super::{
 use crate::convert;
 
 /// How an upload is described.
-#[derive(Debug, Deserialize, IntoParams)]
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct Upload {
@@ -204,7 +204,7 @@ fn event(name: &str, content: &impl serde::Serialize) -> String {
 }
 
 /// A part of a list.
-#[derive(Debug, Deserialize, IntoParams)]
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct Page {
@@ -236,7 +236,7 @@ pub async fn list_setups(
 }
 
 /// What is wanted of a set-up.
-#[derive(Debug, Deserialize, IntoParams)]
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct GetSetup {
