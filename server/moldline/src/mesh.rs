@@ -158,11 +158,7 @@ impl Meshes {
         Ok(v1::CloseSessionResponse {})
     }
 
-    pub async fn deform(
-        &self,
-        caller: &Principal,
-        request: v1::DeformRequest,
-    ) -> Answer<v1::DeformResponse> {
+    pub async fn deform(&self, caller: &Principal, request: v1::DeformRequest) -> Answer<v1::DeformResponse> {
         let v1::DeformRequest { session_id, input, control_points, include_cell_quality } = request;
         on_session(&session_id);
         let design = convert::design(input, control_points)?;

@@ -82,11 +82,14 @@ impl Media {
         let mut best: Option<(f32, Self)> = None;
         let mut asked = false;
         let values = headers.get_all(header::ACCEPT).iter().filter_map(|value| value.to_str().ok());
-        for range in values.flat_map(|value| value.split(',')).map(str::trim).filter(|range| !range.is_empty()) {
+        for range in
+            values.flat_map(|value| value.split(',')).map(str::trim).filter(|range| !range.is_empty())
+        {
             asked = true;
             let mut parts = range.split(';').map(str::trim);
             let name = parts.next().unwrap_or_default();
-            let quality = parts.find_map(|part| part.strip_prefix("q=")).map_or(1.0, |q| q.parse().unwrap_or(0.0));
+            let quality =
+                parts.find_map(|part| part.strip_prefix("q=")).map_or(1.0, |q| q.parse().unwrap_or(0.0));
             let media = match name.split_once('/') {
                 Some(("*", "*")) => offered.first().copied(),
                 Some((kind, "*")) => {
@@ -282,7 +285,11 @@ pub fn reply<R: Serialize>(
     }
     let mut arrays = take(&mut reply);
     if arrays.is_empty() {
-        return Err(ServiceError::invalid("accept", "there is no array to answer with; ask for application/json").into());
+        return Err(ServiceError::invalid(
+            "accept",
+            "there is no array to answer with; ask for application/json",
+        )
+        .into());
     }
     let mut response = match media {
         Media::Npz => Response::new(Body::from(npy::write_npz(&arrays, &text(&reply)?)?)),
@@ -359,7 +366,10 @@ const DEPTH: usize = 8;
 impl<'de> Deserialize<'de> for Numbers {
     fn deserialize<D: de::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let (mut data, mut shape) = (Vec::new(), Vec::new());
-        de::DeserializeSeed::deserialize(Level { depth: 0, data: &mut data, shape: &mut shape }, deserializer)?;
+        de::DeserializeSeed::deserialize(
+            Level { depth: 0, data: &mut data, shape: &mut shape },
+            deserializer,
+        )?;
         Ok(Self(Array { dtype: DataType::Float64.into(), shape, data: data.into() }))
     }
 }
@@ -431,7 +441,9 @@ impl<'de> de::Visitor<'de> for Level<'_> {
             shape[depth] = extent;
         } else if shape[depth] != extent {
             let expected = shape[depth];
-            return Err(de::Error::custom(format!("a list of {extent}, expected {expected} as in those before it")));
+            return Err(de::Error::custom(format!(
+                "a list of {extent}, expected {expected} as in those before it"
+            )));
         }
         Ok(())
     }
@@ -471,7 +483,9 @@ mod tests {
             assert_eq!(array.data.len() as u64, 8 * shape.iter().product::<u64>(), "{text}");
         }
         assert_eq!(numbers("[[1,2],[3,4]]").unwrap().0.data[24..], 4.0_f64.to_le_bytes());
-        for text in ["1", "[[1],[2,3]]", "[1,[2]]", "[[1],2]", "[null]", "[\"a\"]", "{}", "[[],1]", "[[1,2],[]]"] {
+        for text in
+            ["1", "[[1],[2,3]]", "[1,[2]]", "[[1],2]", "[null]", "[\"a\"]", "{}", "[[],1]", "[[1,2],[]]"]
+        {
             assert!(numbers(text).is_err(), "{text}");
         }
         assert!(numbers(&"[".repeat(100)).is_err());

@@ -39,9 +39,8 @@ pub async fn routes(
     let meshes = MeshServiceServer::new(Grpc { meshes })
         .max_decoding_message_size(max_message)
         .max_encoding_message_size(usize::MAX);
-    let open = Routes::new(answers)
-        .add_service(reflection().build_v1()?)
-        .add_service(reflection().build_v1alpha()?);
+    let open =
+        Routes::new(answers).add_service(reflection().build_v1()?).add_service(reflection().build_v1alpha()?);
     Ok((Routes::new(meshes), open, health))
 }
 

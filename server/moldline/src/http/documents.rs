@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeMap, fmt};
 
-use moldline_proto::v1::{self, design_point, deform_request};
+use moldline_proto::v1::{self, deform_request, design_point};
 use moldline_transport::media::Numbers;
 use serde::{Deserialize, de};
 use utoipa::ToSchema;
@@ -232,7 +232,8 @@ impl From<Visibility> for v1::Visibility {
 }
 
 fn control_points(given: Vec<ControlPoints>) -> Vec<v1::ControlPoints> {
-    let message = |ControlPoints { component, points }| v1::ControlPoints { component, points: Some(points.0) };
+    let message =
+        |ControlPoints { component, points }| v1::ControlPoints { component, points: Some(points.0) };
     given.into_iter().map(message).collect()
 }
 
@@ -316,9 +317,13 @@ mod tests {
     #[test]
     fn a_design_is_a_list_or_an_object() {
         let read = |text| serde_json::from_str::<Deform>(text).unwrap().message("s".to_owned()).input;
-        let Some(deform_request::Input::Design(vector)) = read("{\"design\": [1, 2]}") else { panic!("a vector") };
+        let Some(deform_request::Input::Design(vector)) = read("{\"design\": [1, 2]}") else {
+            panic!("a vector")
+        };
         assert_eq!(vector.shape, [2]);
-        let Some(deform_request::Input::Named(named)) = read("{\"design\": {\"x\": 1}}") else { panic!("names") };
+        let Some(deform_request::Input::Named(named)) = read("{\"design\": {\"x\": 1}}") else {
+            panic!("names")
+        };
         assert_eq!(named.values["x"], 1.0);
         assert!(read("{}").is_none());
         assert!(serde_json::from_str::<Deform>("{\"design\": 1}").is_err());

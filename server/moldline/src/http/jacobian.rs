@@ -101,7 +101,8 @@ async fn collect(
 ) -> Answer<v1::JacobianResponse> {
     let columns = first.columns;
     let bytes = |array: &Option<Array>| array.as_ref().map_or(0, |array| array.data.len());
-    let each = bytes(&first.vertices) / first.vertices.as_ref().map_or(1, |array| array.shape[0].max(1) as usize);
+    let each =
+        bytes(&first.vertices) / first.vertices.as_ref().map_or(1, |array| array.shape[0].max(1) as usize);
     if each.saturating_mul(columns as usize) > limit {
         let description = format!(
             "{columns} columns of {each} bytes are more than the limit of {limit} bytes; ask for application/x-npy, which \

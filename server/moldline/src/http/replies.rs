@@ -31,11 +31,9 @@ fn named(name: &str, array: Option<Array>) -> Option<(String, Array)> {
 }
 
 fn of_components(control_points: Vec<v1::ControlPoints>) -> impl Iterator<Item = (String, Array)> {
-    control_points
-        .into_iter()
-        .filter_map(|v1::ControlPoints { component, points }| {
-            named(&format!("control_points.{component}"), points)
-        })
+    control_points.into_iter().filter_map(|v1::ControlPoints { component, points }| {
+        named(&format!("control_points.{component}"), points)
+    })
 }
 
 /// Where the time went, as browsers show it too.
@@ -66,7 +64,9 @@ impl Reply for v1::GetSetupResponse {
 impl Reply for v1::GetSessionResponse {
     fn take_arrays(&mut self) -> Vec<(String, Array)> {
         let Some(session) = &mut self.session else { return Vec::new() };
-        let Some(v1::DesignPoint { input, control_points }) = session.design.take() else { return Vec::new() };
+        let Some(v1::DesignPoint { input, control_points }) = session.design.take() else {
+            return Vec::new();
+        };
         let design = match input {
             Some(design_point::Input::Design(design)) => Some(design),
             _ => None,

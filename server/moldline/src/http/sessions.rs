@@ -13,7 +13,6 @@ use moldline_transport::{
 };
 use serde::{Deserialize, de::DeserializeOwned};
 
-
 use super::{
     Http,
     arrays::Arrays,
@@ -103,7 +102,8 @@ pub async fn list_sessions(
     Caller(caller): Caller,
     Query(Page { page_size, page_token }): Query<Page>,
 ) -> Answer<Response> {
-    let listed = http.meshes.list_sessions(&caller, v1::ListSessionsRequest { page_size, page_token }).await?;
+    let listed =
+        http.meshes.list_sessions(&caller, v1::ListSessionsRequest { page_size, page_token }).await?;
     media::document(StatusCode::OK, &listed)
 }
 

@@ -22,7 +22,6 @@ use tokio::{
 use tokio_stream::{StreamExt, wrappers::UnboundedReceiverStream};
 use tracing::{Instrument, Span};
 
-
 use super::{
     Http,
     documents::{ShareSetup, Visibility},
