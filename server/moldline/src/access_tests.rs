@@ -74,6 +74,11 @@ fn functions(count: u64) -> Option<v1::Array> {
     ones(&[1, count])
 }
 
+/// Which ball is uploaded: while there is no set-up yet, anna's; then another, so that nobody else comes to own hers.
+fn another(setup: &str) -> &'static str {
+    if setup.is_empty() { "ball" } else { "another" }
+}
+
 /// The call over gRPC.
 async fn grpc(
     channel: &Channel,
@@ -92,7 +97,7 @@ async fn grpc(
     let (setup_id, session_id) = (setup.to_owned(), session.to_owned());
     match rpc {
         "CreateSetup" => {
-            let file = ball::setup_file("ball");
+            let file = ball::setup_file(another(setup));
             let entry = v1::FileEntry { path: "setup.json".to_owned(), size: file.len() as u64 };
             let source = v1::setup_header::Source::Files(v1::FileList { files: vec![entry] });
             let header = v1::SetupHeader { source: Some(source), ..Default::default() };
@@ -173,8 +178,8 @@ async fn http(
     count: u64,
 ) -> Answer {
     let at = json!({ "design_point": {} });
+    let ball = ball::setup_file(another(setup));
     let (setup, session) = (format!("/v1/setups/{setup}"), format!("/v1/sessions/{session}"));
-    let ball = ball::setup_file("ball");
     let (method, path, body) = match rpc {
         "CreateSetup" => ("POST", "/v1/setups".to_owned(), ball),
         "GetSetup" => ("GET", setup, String::new()),

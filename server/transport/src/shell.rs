@@ -75,9 +75,9 @@ pub fn router(served: Served, surroundings: Surroundings) -> Router {
     let administrators =
         Router::new().route("/metrics", get(scrape)).route_layer(middleware::from_fn(access::administrators));
     let http = http
-        .route_layer(middleware::from_fn_with_state(operations, name_http))
         .merge(administrators)
-        .route_layer(ask.clone());
+        .route_layer(ask.clone())
+        .route_layer(middleware::from_fn_with_state(operations, name_http));
     let grpc = only_routes(served.grpc).route_layer(ask).merge(only_routes(served.open));
     let grpc = grpc.layer(GrpcWebLayer::new()).route_layer(middleware::from_fn(name_grpc));
     let open = Router::new()
