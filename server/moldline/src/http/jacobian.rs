@@ -32,13 +32,13 @@ type Block = Result<v1::JacobianResponse, ServiceError>;
     post, path = "/v1/sessions/{session_id}/jacobian", operation_id = "Jacobian", tag = "sessions",
     params(("session_id" = String, Path), AtQuery),
     request_body(content(
-        (documents::Jacobian = "application/json"), (Vec<u8> = "application/x-npy"),
-        (Vec<u8> = "application/x-npz"), (Vec<u8> = "application/octet-stream"),
+        (documents::Jacobian = "application/json"), (media::Binary = "application/x-npy"),
+        (media::Binary = "application/x-npz"), (media::Binary = "application/octet-stream"),
     ), description = "Arrays: `at.design`, `at.control_points.COMPONENT`."),
     responses(
         (status = 200, description = "All columns. Arrays: `vertices` (variables, n, 3), `functions`.", content(
-            (v1::JacobianResponse = "application/json"), (Vec<u8> = "application/x-npy"),
-            (Vec<u8> = "application/x-npz"), (Vec<u8> = "application/octet-stream"),
+            (v1::JacobianResponse = "application/json"), (media::Binary = "application/x-npy"),
+            (media::Binary = "application/x-npz"), (media::Binary = "application/octet-stream"),
         )),
         (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
     )

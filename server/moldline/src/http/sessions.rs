@@ -115,8 +115,8 @@ pub async fn list_sessions(
     params(("session_id" = String, Path)),
     responses(
         (status = 200, description = "The session.", content(
-            (v1::GetSessionResponse = "application/json"), (Vec<u8> = "application/x-npy"),
-            (Vec<u8> = "application/x-npz"), (Vec<u8> = "application/octet-stream"),
+            (v1::GetSessionResponse = "application/json"), (media::Binary = "application/x-npy"),
+            (media::Binary = "application/x-npz"), (media::Binary = "application/octet-stream"),
         )),
         (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
     )
@@ -203,13 +203,13 @@ pub struct DeformQuery {
     post, path = "/v1/sessions/{session_id}/deform", operation_id = "Deform", tag = "sessions",
     params(("session_id" = String, Path), DeformQuery),
     request_body(content(
-        (Option<Deform> = "application/json"), (Vec<u8> = "application/x-npy"),
-        (Vec<u8> = "application/x-npz"), (Vec<u8> = "application/octet-stream"),
+        (Option<Deform> = "application/json"), (media::Binary = "application/x-npy"),
+        (media::Binary = "application/x-npz"), (media::Binary = "application/octet-stream"),
     ), description = "Arrays: `design`, `control_points.COMPONENT`."),
     responses(
         (status = 200, description = "The deformed mesh. Arrays: `vertices`, `functions`, `cell_quality.*`.", content(
-            (v1::DeformResponse = "application/json"), (Vec<u8> = "application/x-npy"),
-            (Vec<u8> = "application/x-npz"), (Vec<u8> = "application/octet-stream"),
+            (v1::DeformResponse = "application/json"), (media::Binary = "application/x-npy"),
+            (media::Binary = "application/x-npz"), (media::Binary = "application/octet-stream"),
         )),
         (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
     )
@@ -248,13 +248,13 @@ pub struct AtQuery {
     post, path = "/v1/sessions/{session_id}/jvp", operation_id = "ApplyJacobianVector", tag = "sessions",
     params(("session_id" = String, Path), AtQuery),
     request_body(content(
-        (Jvp = "application/json"), (Vec<u8> = "application/x-npy"),
-        (Vec<u8> = "application/x-npz"), (Vec<u8> = "application/octet-stream"),
+        (Jvp = "application/json"), (media::Binary = "application/x-npy"),
+        (media::Binary = "application/x-npz"), (media::Binary = "application/octet-stream"),
     ), description = "Arrays: `design`, `control_points.COMPONENT`, `at.design`, `at.control_points.COMPONENT`."),
     responses(
         (status = 200, description = "Tangents. Arrays: `vertices`, `functions`.", content(
-            (v1::ApplyJacobianVectorResponse = "application/json"), (Vec<u8> = "application/x-npy"),
-            (Vec<u8> = "application/x-npz"), (Vec<u8> = "application/octet-stream"),
+            (v1::ApplyJacobianVectorResponse = "application/json"), (media::Binary = "application/x-npy"),
+            (media::Binary = "application/x-npz"), (media::Binary = "application/octet-stream"),
         )),
         (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
     )
@@ -298,13 +298,13 @@ pub struct VjpQuery {
     post, path = "/v1/sessions/{session_id}/vjp", operation_id = "ApplyAdjoint", tag = "sessions",
     params(("session_id" = String, Path), VjpQuery),
     request_body(content(
-        (Vjp = "application/json"), (Vec<u8> = "application/x-npy"),
-        (Vec<u8> = "application/x-npz"), (Vec<u8> = "application/octet-stream"),
+        (Vjp = "application/json"), (media::Binary = "application/x-npy"),
+        (media::Binary = "application/x-npz"), (media::Binary = "application/octet-stream"),
     ), description = "Arrays: `vertices`, `functions`, `at.design`, `at.control_points.COMPONENT`."),
     responses(
         (status = 200, description = "Gradients. Arrays: `design`, `control_points.COMPONENT`.", content(
-            (v1::ApplyAdjointResponse = "application/json"), (Vec<u8> = "application/x-npy"),
-            (Vec<u8> = "application/x-npz"), (Vec<u8> = "application/octet-stream"),
+            (v1::ApplyAdjointResponse = "application/json"), (media::Binary = "application/x-npy"),
+            (media::Binary = "application/x-npz"), (media::Binary = "application/octet-stream"),
         )),
         (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
     )

@@ -58,7 +58,7 @@ pub struct Upload {
         ("Prefer" = Option<String>, Header, description = "`respond-async` answers an operation as soon as the body is there."),
     ),
     request_body(content(
-        (Vec<u8> = "application/x-tar"), (Vec<u8> = "application/gzip"), (Vec<u8> = "application/zip"),
+        (media::Binary = "application/x-tar"), (media::Binary = "application/gzip"), (media::Binary = "application/zip"),
         (serde_json::Value = "application/json"), (String = "application/toml"),
     ), description = "An archive (tar, tar.gz, zip), or `setup.json` or `setup.toml` alone. Its length has to be announced."),
     responses(
@@ -255,8 +255,8 @@ pub struct GetSetup {
     params(("setup_id" = String, Path), GetSetup),
     responses(
         (status = 200, description = "The set-up.", content(
-            (v1::GetSetupResponse = "application/json"), (Vec<u8> = "application/x-npy"),
-            (Vec<u8> = "application/x-npz"), (Vec<u8> = "application/octet-stream"),
+            (v1::GetSetupResponse = "application/json"), (media::Binary = "application/x-npy"),
+            (media::Binary = "application/x-npz"), (media::Binary = "application/octet-stream"),
         )),
         (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
     )
