@@ -18,6 +18,7 @@
 //! Absent on purpose: wire formats, ports, and anything that survives the process.
 
 mod cancel;
+mod checks;
 mod error;
 mod flight;
 mod limits;
@@ -32,9 +33,11 @@ mod sessions;
 mod setups;
 mod upload;
 
+pub use moldline_check::Report as CheckReport;
 pub use moldline_setup::ArchiveKind;
 
 pub use cancel::Cancellation;
+pub use checks::{CheckAt, CheckRequest};
 pub use error::{Code, ServiceError, Violation};
 pub use limits::Limits;
 pub use linearisation::{

@@ -105,6 +105,11 @@ impl Resolved {
         Ok(Self { vector, overrides: overrides.collect::<Result<_, ServiceError>>()? })
     }
 
+    /// The values alone.
+    pub fn into_vector(self) -> Vec<f64> {
+        self.vector
+    }
+
     /// A name for (set-up, design): the same for the same, on any server.
     pub fn id(&self, setup: &SetupId) -> String {
         let mut hasher = blake3::Hasher::new();
