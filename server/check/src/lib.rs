@@ -28,7 +28,7 @@ pub use check::{
     Watch, check_design, designs, largest, range,
 };
 pub use differences::{Derivative, central_difference, norm, relative_error};
-pub use report::{DEFINITION, Designs, Maximum, Observer, Report, Request};
+pub use report::{Designs, Maximum, Observer, Report, Request};
 
 /// Why a check cannot be carried out.
 #[derive(Debug, thiserror::Error)]

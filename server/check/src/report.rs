@@ -14,10 +14,6 @@ const DOT_PRODUCT: f64 = 1e-12;
 const DUAL: f64 = 1e-10;
 const CENTRAL_DIFFERENCE: f64 = 1e-6;
 
-/// What the numbers of a report are.
-pub const DEFINITION: &str = "relative errors: norm over all vertices of the difference, over that of the derivative; \
-                              steps relative to the range of the variable";
-
 /// Where derivatives are checked.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Designs {
@@ -103,6 +99,10 @@ impl Maximum {
 }
 
 impl Report {
+    /// What its numbers are.
+    pub const DEFINITION: &str = "relative errors: norm over all vertices of the difference, over that of the derivative; \
+                                  steps relative to the range of the variable";
+
     /// Checks the linearisations that the engine makes of a set-up.
     ///
     /// # Errors

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use moldline_check::{DEFINITION, Designs, Observer, Report, Request};
+use moldline_check::{Designs, Observer, Report, Request};
 use serde_json::{Map, Value, json};
 
 use crate::{
@@ -100,7 +100,7 @@ fn document(report: &Report) -> Value {
         .collect();
     let [dot_products, dual, central] = report.maxima().map(|maximum| maximum.error);
     json!({
-        "definition": DEFINITION,
+        "definition": Report::DEFINITION,
         "seed": report.seed,
         "dot_product_max": dot_products,
         "dual_max": dual,
