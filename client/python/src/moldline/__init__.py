@@ -10,6 +10,7 @@ Vertices are float64 arrays of shape (n, 3) in metres; designs are float64 array
 each entry in its variable's unit.
 """
 
+from moldline.check import Check, CheckedDesign, CheckedVariable, Difference, DotProduct
 from moldline.client import (
     Client,
     Deformation,
@@ -45,11 +46,16 @@ from moldline.quality import Distribution, QualityReport, QualitySummary
 __all__ = [
     "AlreadyExists",
     "Cancelled",
+    "Check",
+    "CheckedDesign",
+    "CheckedVariable",
     "Client",
     "DeadlineExceeded",
     "Deformation",
     "DesignPoint",
+    "Difference",
     "Distribution",
+    "DotProduct",
     "FailedPrecondition",
     "FieldViolation",
     "Function",

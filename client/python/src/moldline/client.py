@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from tqdm import tqdm
 
 from moldline import arrays, upload
+from moldline.check import Check, check_from_wire
 from moldline.errors import InternalError, NotFound, translated
 from moldline.mesh import Mesh
 from moldline.quality import QualityReport, report_from_wire
@@ -31,9 +32,9 @@ _REQUEST = 32 << 20
 
 @dataclass(frozen=True)
 class Progress:
-    """How far the creation of a set-up has come."""
+    """How far long work has come."""
 
-    #: `receive`, `read`, and then the engine's stages.
+    #: `receive`, `read`, and then the engine's stages; `check`.
     stage: str
     #: Share of the stage, 0 to 1.
     fraction: float
@@ -216,17 +217,21 @@ class Client:
         messages = upload.messages(path, setup_file, request_id)
         with translated():
             events = self._stub.CreateSetup(messages, timeout=timeout)
-            if callable(progress):
-                created = _follow(events, progress)
-            else:
-                with _Bar(enabled=progress) as bar:
-                    created = _follow(events, bar)
+            created = _follow(events, "created", progress)
         return Setup(self, created.setup_id, created.setup, built=created.built)
 
     def get_setup(self, setup_id: str) -> Setup:
         """The set-up of that id. Raises :class:`NotFound`."""
         response = self._call("GetSetup", wire.GetSetupRequest(setup_id=setup_id))
         return Setup(self, setup_id, response.setup, built=False)
+
+    def check(
+        self, setup: Setup | str | os.PathLike[str], designs: int = 1, **options: Any
+    ) -> Check:
+        """Checks the derivatives of a set-up, or of that in a folder or an archive; see :meth:`Setup.check`."""
+        if not isinstance(setup, Setup):
+            setup = self.create_setup(setup, progress=options.get("progress", False))
+        return setup.check(designs, **options)
 
     def close(self) -> None:
         """Closes the connection."""
@@ -312,6 +317,40 @@ class Setup:
         request = wire.GetSetupRequest(setup_id=self.id, include_control_points=True)
         response = self._client._call("GetSetup", request)
         return {each.component: arrays.from_wire(each.points) for each in response.control_points}
+
+    def check(
+        self,
+        designs: int = 1,
+        *,
+        design: Mapping[str, float] | ArrayLike | None = None,
+        variables: Iterable[str] = (),
+        seed: int = 1,
+        progress: bool | Callable[[Progress], None] = False,
+        timeout: float | None = None,
+    ) -> Check:
+        """Checks the derivatives: products against their transposes, dual numbers and central differences.
+
+        `designs`: at how many designs: the baseline, then random ones far from it.
+        `design`: the only design to check at, in their place, as :meth:`Session.deform` takes it.
+        `variables`: names of variables or of groups of them, to be compared with dual numbers and central differences;
+        all if empty.
+        `seed`: of the random designs and vectors.
+        `progress`: `True` for a progress bar, or a function that is called with each :class:`Progress`.
+        `timeout`: seconds it may take; `None` for no limit. It is minutes of work for the E175.
+
+        Raises :class:`InvalidArgument` naming what is wrong, :class:`ResourceExhausted` while another check is under way.
+        """
+        request = wire.CheckRequest(setup_id=self.id, seed=seed, variables=variables)
+        if design is None:
+            request.designs = designs
+        elif isinstance(design, Mapping):
+            request.named.SetInParent()
+            request.named.values.update({name: float(value) for name, value in design.items()})
+        else:
+            request.design.CopyFrom(arrays.to_wire(design))
+        with translated():
+            report = _follow(self._client._stub.Check(request, timeout=timeout), "report", progress)
+        return check_from_wire(report, tuple(variable.name for variable in self.variables))
 
     def session(self, *, request_id: str | None = None) -> Session:
         """Opens a session; use it in a `with` statement, or close it."""
@@ -614,11 +653,14 @@ def _group(group: wire.VariableGroup) -> VariableGroup:
     return VariableGroup(group.name, slice(group.first, group.first + int(np.prod(shape))), shape)
 
 
-def _follow(events: Iterator[wire.CreateSetupResponse], tell: Callable[[Progress], None]) -> wire.CreatedSetup:
-    for event in events:
-        if event.HasField("created"):
-            return event.created
-        tell(Progress(event.progress.stage, event.progress.fraction, event.progress.message))
+def _follow(events: Iterator[Any], result: str, progress: bool | Callable[[Progress], None]) -> Any:
+    """The field `result` of the last event, progress being told meanwhile."""
+    with _Bar(enabled=progress is True) as bar:
+        tell = progress if callable(progress) else bar
+        for event in events:
+            if event.HasField(result):
+                return getattr(event, result)
+            tell(Progress(event.progress.stage, event.progress.fraction, event.progress.message))
     raise InternalError("the server ended without a result")
 
 
