@@ -8,7 +8,7 @@ mod tests;
 use std::{pin::Pin, sync::Arc};
 
 use moldline_proto::{FILE_DESCRIPTOR_SET, v1};
-use moldline_service::{At, Product, Service, ServiceError, UploadHeader, Wanted};
+use moldline_service::{At, Principal, Product, Service, ServiceError, SetupView, UploadHeader, Wanted};
 use tokio::sync::mpsc;
 use tokio_stream::{
     Stream,
@@ -64,6 +64,11 @@ pub struct Grpc {
     service: Arc<Service>,
 }
 
+/// Who calls, as authentication found it; everybody, where there is none.
+fn caller<T>(request: &Request<T>) -> Principal {
+    request.extensions().get().cloned().unwrap_or_else(Principal::local)
+}
+
 type Columns = Pin<Box<dyn Stream<Item = Result<v1::JacobianResponse, Status>> + Send>>;
 type Events = Pin<Box<dyn Stream<Item = Result<v1::CreateSetupResponse, Status>> + Send>>;
 
@@ -75,11 +80,12 @@ impl MeshService for Grpc {
         &self,
         request: Request<Streaming<v1::CreateSetupRequest>>,
     ) -> Result<Response<Events>, Status> {
+        let caller = caller(&request);
         let (sender, events) = mpsc::unbounded_channel();
         let service = Arc::clone(&self.service);
         tokio::spawn(async move {
             let outcome = tokio::select! {
-                outcome = create_setup(&service, request.into_inner(), &sender) => outcome,
+                outcome = create_setup(&service, &caller, request.into_inner(), &sender) => outcome,
                 // The client has gone: the upload and the interest in the build go with this future.
                 () = sender.closed() => return,
             };
@@ -92,31 +98,103 @@ impl MeshService for Grpc {
         &self,
         request: Request<v1::GetSetupRequest>,
     ) -> Result<Response<v1::GetSetupResponse>, Status> {
+        let caller = caller(&request);
         let request = request.into_inner();
-        let setup = self.service.setup(&request.setup_id).map_err(refuse)?;
+        let SetupView { setup, access } =
+            self.service.get_setup(&caller, &request.setup_id).await.map_err(refuse)?;
         let mesh = request.include_mesh.then(|| convert::mesh(&setup));
         let control_points = match request.include_control_points {
             true => convert::control_points(&setup).map_err(refuse)?,
             false => Vec::new(),
         };
-        let setup = Some(convert::description(&setup));
+        let setup = Some(convert::description(&setup, &access));
         Ok(Response::new(v1::GetSetupResponse { setup, mesh, control_points }))
+    }
+
+    async fn list_setups(
+        &self,
+        request: Request<v1::ListSetupsRequest>,
+    ) -> Result<Response<v1::ListSetupsResponse>, Status> {
+        let caller = caller(&request);
+        let v1::ListSetupsRequest { page_size, page_token } = request.into_inner();
+        let page = convert::page(page_size, page_token);
+        let listed = self.service.list_setups(&caller, &page).await.map_err(refuse)?;
+        Ok(Response::new(convert::listed_setups(listed)))
+    }
+
+    async fn share_setup(
+        &self,
+        request: Request<v1::ShareSetupRequest>,
+    ) -> Result<Response<v1::ShareSetupResponse>, Status> {
+        let caller = caller(&request);
+        let request = request.into_inner();
+        let visibility = convert::visibility("", request.visibility, request.shared_with).map_err(refuse)?;
+        let visibility = visibility.ok_or_else(|| ServiceError::invalid("visibility", "is missing"));
+        let access = self.service.share_setup(&caller, &request.setup_id, visibility.map_err(refuse)?).await;
+        let access = Some(convert::access(&access.map_err(refuse)?));
+        Ok(Response::new(v1::ShareSetupResponse { access }))
+    }
+
+    async fn delete_setup(
+        &self,
+        request: Request<v1::DeleteSetupRequest>,
+    ) -> Result<Response<v1::DeleteSetupResponse>, Status> {
+        let caller = caller(&request);
+        self.service.delete_setup(&caller, &request.into_inner().setup_id).await.map_err(refuse)?;
+        Ok(Response::new(v1::DeleteSetupResponse {}))
     }
 
     async fn open_session(
         &self,
         request: Request<v1::OpenSessionRequest>,
     ) -> Result<Response<v1::OpenSessionResponse>, Status> {
-        let v1::OpenSessionRequest { setup_id, request_id } = request.into_inner();
-        let session_id = self.service.open_session(&setup_id, &request_id).map_err(refuse)?;
-        Ok(Response::new(v1::OpenSessionResponse { session_id }))
+        let caller = caller(&request);
+        let v1::OpenSessionRequest { setup_id, request_id, label } = request.into_inner();
+        let session = self.service.open_session(&caller, &setup_id, &label, &request_id).await;
+        let session = session.map_err(refuse)?;
+        let session_id = session.id.clone();
+        Ok(Response::new(v1::OpenSessionResponse { session_id, session: Some(convert::session(session)) }))
+    }
+
+    async fn get_session(
+        &self,
+        request: Request<v1::GetSessionRequest>,
+    ) -> Result<Response<v1::GetSessionResponse>, Status> {
+        let caller = caller(&request);
+        let session = self.service.get_session(&caller, &request.into_inner().session_id).await;
+        let session = Some(convert::session(session.map_err(refuse)?));
+        Ok(Response::new(v1::GetSessionResponse { session }))
+    }
+
+    async fn list_sessions(
+        &self,
+        request: Request<v1::ListSessionsRequest>,
+    ) -> Result<Response<v1::ListSessionsResponse>, Status> {
+        let caller = caller(&request);
+        let v1::ListSessionsRequest { page_size, page_token } = request.into_inner();
+        let page = convert::page(page_size, page_token);
+        let listed = self.service.list_sessions(&caller, &page).await.map_err(refuse)?;
+        Ok(Response::new(convert::listed_sessions(listed)))
+    }
+
+    async fn update_session(
+        &self,
+        request: Request<v1::UpdateSessionRequest>,
+    ) -> Result<Response<v1::UpdateSessionResponse>, Status> {
+        let caller = caller(&request);
+        let request = request.into_inner();
+        let session_id = request.session_id.clone();
+        let update = convert::update(request).map_err(refuse)?;
+        let session = self.service.update_session(&caller, &session_id, update).await.map_err(refuse)?;
+        Ok(Response::new(v1::UpdateSessionResponse { session: Some(convert::session(session)) }))
     }
 
     async fn close_session(
         &self,
         request: Request<v1::CloseSessionRequest>,
     ) -> Result<Response<v1::CloseSessionResponse>, Status> {
-        self.service.close_session(&request.into_inner().session_id).map_err(refuse)?;
+        let caller = caller(&request);
+        self.service.close_session(&caller, &request.into_inner().session_id).await.map_err(refuse)?;
         Ok(Response::new(v1::CloseSessionResponse {}))
     }
 
@@ -124,10 +202,11 @@ impl MeshService for Grpc {
         &self,
         request: Request<v1::DeformRequest>,
     ) -> Result<Response<v1::DeformResponse>, Status> {
+        let caller = caller(&request);
         let v1::DeformRequest { session_id, input, control_points, include_cell_quality } =
             request.into_inner();
         let design = convert::design(input, control_points).map_err(refuse)?;
-        let deformed = self.service.deform(&session_id, design).await.map_err(refuse)?;
+        let deformed = self.service.deform(&caller, &session_id, design).await.map_err(refuse)?;
         Ok(Response::new(convert::deformed(&deformed, include_cell_quality)))
     }
 
@@ -135,10 +214,11 @@ impl MeshService for Grpc {
         &self,
         request: Request<v1::ApplyJacobianVectorRequest>,
     ) -> Result<Response<v1::ApplyJacobianVectorResponse>, Status> {
+        let caller = caller(&request);
         let v1::ApplyJacobianVectorRequest { session_id, at, design, control_points } = request.into_inner();
         let at = convert::at(at).map_err(refuse)?;
         let directions = convert::directions(design, control_points).map_err(refuse)?;
-        let product = self.service.jvp(&session_id, at, directions).await.map_err(refuse)?;
+        let product = self.service.jvp(&caller, &session_id, at, directions).await.map_err(refuse)?;
         Ok(Response::new(convert::jvp(&product)))
     }
 
@@ -146,17 +226,19 @@ impl MeshService for Grpc {
         &self,
         request: Request<v1::ApplyAdjointRequest>,
     ) -> Result<Response<v1::ApplyAdjointResponse>, Status> {
+        let caller = caller(&request);
         let request = request.into_inner();
         let at = convert::at(request.at).map_err(refuse)?;
         let seeds = convert::seeds(request.vertices, request.functions).map_err(refuse)?;
         let wanted = Wanted { design: request.include_design, control_points: request.control_points_of };
-        let product = self.service.vjp(&request.session_id, at, seeds, wanted).await.map_err(refuse)?;
-        Ok(Response::new(convert::vjp(&product)))
+        let product = self.service.vjp(&caller, &request.session_id, at, seeds, wanted).await;
+        Ok(Response::new(convert::vjp(&product.map_err(refuse)?)))
     }
 
     type JacobianStream = Columns;
 
     async fn jacobian(&self, request: Request<v1::JacobianRequest>) -> Result<Response<Columns>, Status> {
+        let caller = caller(&request);
         let v1::JacobianRequest { session_id, at } = request.into_inner();
         let at = convert::at(at).map_err(refuse)?;
         // A client that reads slowly holds up its own columns only, and few of them are waiting.
@@ -164,7 +246,7 @@ impl MeshService for Grpc {
         let service = Arc::clone(&self.service);
         tokio::spawn(async move {
             let outcome = tokio::select! {
-                outcome = jacobian(&service, &session_id, at, &sender) => outcome,
+                outcome = jacobian(&service, &caller, &session_id, at, &sender) => outcome,
                 // The client has gone, and with this future the interest in what is computed.
                 () = sender.closed() => return,
             };
@@ -174,21 +256,30 @@ impl MeshService for Grpc {
         });
         Ok(Response::new(Box::pin(ReceiverStream::new(columns))))
     }
+
+    async fn get_status(
+        &self,
+        request: Request<v1::GetStatusRequest>,
+    ) -> Result<Response<v1::GetStatusResponse>, Status> {
+        let status = self.service.status(&caller(&request)).await.map_err(refuse)?;
+        Ok(Response::new(convert::status(status)))
+    }
 }
 
 /// Computes the columns in large blocks, and sends them in messages of about 1 MiB.
 async fn jacobian(
     service: &Service,
+    caller: &Principal,
     session_id: &str,
     at: At,
     sender: &mpsc::Sender<Result<v1::JacobianResponse, Status>>,
 ) -> Result<(), ServiceError> {
     const MESSAGE: usize = 1 << 20;
-    let Product { value: at, mut timing } = service.linearised(session_id, at).await?;
+    let Product { value: at, mut timing } = service.linearised(caller, session_id, at).await?;
     let columns = at.columns();
     let mut first = 0;
     while first < columns {
-        let block = service.jacobian(&at, first).await?;
+        let block = service.jacobian(caller, &at, first).await?;
         timing = timing + block.timing;
         let bytes = block.value.first().map_or(1, |column| size_of_val(&column.vertices[..]).max(1));
         for some in block.value.chunks((MESSAGE / bytes).max(1)) {
@@ -205,6 +296,7 @@ async fn jacobian(
 /// Receives, builds, and tells about it. Events are few, so the channel need not be bounded.
 async fn create_setup(
     service: &Service,
+    caller: &Principal,
     mut parts: Streaming<v1::CreateSetupRequest>,
     events: &mpsc::UnboundedSender<Result<v1::CreateSetupResponse, Status>>,
 ) -> Result<v1::CreateSetupResponse, Status> {
@@ -212,7 +304,7 @@ async fn create_setup(
         let _ = events.send(Ok(convert::progress(progress)));
     };
     let header = header(parts.message().await?).map_err(refuse)?;
-    let mut receiving = service.receive(header).map_err(refuse)?;
+    let mut receiving = service.receive(caller, header).map_err(refuse)?;
     let mut told = 0.0;
     tell(receiving.progress());
     while let Some(part) = parts.message().await? {
@@ -225,7 +317,7 @@ async fn create_setup(
         }
     }
     let uploaded = receiving.finish().map_err(refuse)?;
-    let created = service.create_setup(uploaded, tell).await.map_err(refuse)?;
+    let created = service.create_setup(caller, uploaded, tell).await.map_err(refuse)?;
     Ok(convert::created(&created))
 }
 

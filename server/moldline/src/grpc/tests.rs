@@ -83,7 +83,7 @@ async fn a_set_up_goes_up_in_chunks_and_comes_back_described() {
     assert_eq!(mesh.vertices.unwrap().shape, [description.vertex_count, 3]);
     assert_eq!(mesh.cells.unwrap().data.len() as u64, description.cell_count * 16);
 
-    let request = v1::OpenSessionRequest { setup_id: created.setup_id.clone(), request_id: String::new() };
+    let request = v1::OpenSessionRequest { setup_id: created.setup_id.clone(), ..Default::default() };
     let session_id = client.open_session(request).await.unwrap().into_inner().session_id;
     let values = v1::NamedDesign { values: [("ball.x".to_owned(), 0.5)].into() };
     let request = v1::DeformRequest {
@@ -115,9 +115,7 @@ async fn derivatives(
     linearisation_id: String,
 ) {
     let (n, f) = (description.vertex_count, description.functions.len() as u64);
-    let at = Some(v1::LinearisationPoint {
-        at: Some(v1::linearisation_point::At::LinearisationId(linearisation_id)),
-    });
+    let at = Some(v1::LinearisationPoint { linearisation_id, design_point: None });
     let session_id = session_id.to_owned();
     let ones = |shape: &[u64]| v1::Array {
         dtype: v1::DataType::Float64.into(),
@@ -164,8 +162,8 @@ async fn derivatives(
     assert_eq!(numbers(&block.vertices.unwrap()), numbers(&of_vertices)[..3 * n as usize]);
     assert!(blocks.message().await.unwrap().is_none());
 
-    let at = v1::linearisation_point::At::LinearisationId("none".to_owned());
-    let request = v1::JacobianRequest { session_id, at: Some(v1::LinearisationPoint { at: Some(at) }) };
+    let at = v1::LinearisationPoint { linearisation_id: "none".to_owned(), design_point: None };
+    let request = v1::JacobianRequest { session_id, at: Some(at) };
     let status = client.jacobian(request).await.unwrap().into_inner().message().await.unwrap_err();
     assert_eq!((status.code(), field(&status).as_str()), (Code::NotFound, "at.linearisation_id"));
 }
