@@ -2,8 +2,10 @@
 
 use std::{
     fs,
+    num::NonZeroUsize,
     path::{Path, PathBuf},
     process::{Command, Stdio},
+    thread,
 };
 
 use crate::process::{Outcome, cargo, command, root, run};
@@ -27,11 +29,16 @@ impl Clients {
     /// Builds the drivers of the end-to-end tests, installs the C++ client below `target/`, and builds its example against
     /// what is installed there.
     pub fn built() -> Outcome<Self> {
-        run("Rust driver", cargo().args(["build", "--locked", "--package", "moldline-client", "--examples"]))?;
+        run(
+            "Rust driver",
+            cargo().args(["build", "--locked", "--package", "moldline-client", "--examples"]),
+        )?;
         let (library, prefix, examples) =
             (root().join("target/cpp"), root().join("target/cpp/prefix"), root().join("target/cpp-examples"));
         let mut configure = cmake();
-        configure.args(["-S", "client/cpp", "-DMOLDLINE_WERROR=ON", "-DMOLDLINE_TESTS=ON", "-B"]).arg(&library);
+        configure
+            .args(["-S", "client/cpp", "-DMOLDLINE_WERROR=ON", "-DMOLDLINE_TESTS=ON", "-B"])
+            .arg(&library);
         if !succeeds(&mut configure) {
             install_packages()?;
             // What was not there may be remembered.
@@ -66,7 +73,8 @@ fn cmake() -> Command {
 }
 
 fn build(title: &str, folder: &Path) -> Outcome {
-    run(title, cmake().arg("--build").arg(folder).args(["--parallel", "--", "--no-print-directory"]))
+    let cores = thread::available_parallelism().map_or(1, NonZeroUsize::get).to_string();
+    run(title, cmake().arg("--build").arg(folder).args(["--parallel", &cores]))
 }
 
 fn succeeds(command: &mut Command) -> bool {

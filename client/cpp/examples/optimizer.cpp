@@ -185,6 +185,8 @@ int main(int argc, char** argv) {
     std::fprintf(stderr, "usage: %s ADDRESS FOLDER [SETUP_FILE]  or  %s ADDRESS SESSION\n", argv[0], argv[0]);
     return 2;
   }
+  // Lines are written as they come, to a file too.
+  std::setvbuf(stdout, nullptr, _IOLBF, BUFSIZ);
   try {
     run(argv[1], argv[2], argc > 3 ? argv[3] : "");
     return 0;
