@@ -29,10 +29,10 @@ impl Clients {
     /// Builds the drivers of the end-to-end tests, installs the C++ client below `target/`, and builds its example against
     /// what is installed there.
     pub fn built() -> Outcome<Self> {
-        run(
-            "Rust driver",
-            cargo().args(["build", "--locked", "--package", "moldline-client", "--examples"]),
-        )?;
+        // With the features of the whole workspace, as the tests are built: nothing is compiled twice.
+        let mut rust = cargo();
+        rust.args(["build", "--locked", "--workspace", "--example", "driver", "--example", "sweep"]);
+        run("Rust client's driver and example", &mut rust)?;
         let (library, prefix, examples) =
             (root().join("target/cpp"), root().join("target/cpp/prefix"), root().join("target/cpp-examples"));
         let mut configure = cmake();
