@@ -1,7 +1,6 @@
 #include "moldline/client.hpp"
 
 #include <algorithm>
-#include <atomic>
 #include <exception>
 #include <stdexcept>
 #include <thread>
@@ -129,14 +128,21 @@ Setup Client::create_setup(const std::filesystem::path& path, const CreateOption
   connection_->attempts(connection_->budget(options, no_limit), [&](grpc::ClientContext& context) {
     auto stream = connection_->stub().CreateSetup(&context);
     // Progress is read while files are sent: neither side waits for the other.
+    std::exception_ptr unreadable;
     std::thread writer([&] {
-      internal::upload(header, files, [&](const v1::CreateSetupRequest& request) { return stream->Write(request); });
-      stream->WritesDone();
+      try {
+        internal::upload(header, files, [&](const v1::CreateSetupRequest& request) { return stream->Write(request); });
+        stream->WritesDone();
+      } catch (...) {
+        unreadable = std::current_exception();
+        context.TryCancel();
+      }
     });
     v1::CreateSetupResponse event;
     read_all(*stream, context, event, take, thrown);
     writer.join();
     const grpc::Status status = stream->Finish();
+    if (unreadable) std::rethrow_exception(unreadable);
     if (thrown) std::rethrow_exception(thrown);
     return status;
   });

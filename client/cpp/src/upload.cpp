@@ -64,6 +64,7 @@ void upload(
   if (!send(first)) return;
   for (std::size_t index = 0; index < files.size(); ++index) {
     std::ifstream stream(files[index], std::ios::binary);
+    if (!stream) throw std::invalid_argument("cannot read " + files[index].string());
     std::string data(chunk, '\0');
     while (stream.read(data.data(), static_cast<std::streamsize>(chunk)) || stream.gcount() > 0) {
       v1::CreateSetupRequest next;
