@@ -18,43 +18,34 @@ pub fn array(values: &[f64], shape: &[usize]) -> Array {
     Array { dtype: DataType::Float64.into(), shape, data: data.into() }
 }
 
-/// Bytes of an array of elements of N bytes.
-fn elements<const N: usize>(
+/// Items of N bytes each, which are elements of `width` bytes or groups of them.
+fn items<const N: usize, T>(
     array: Option<&Array>,
     dtype: DataType,
-) -> Result<impl Iterator<Item = [u8; N]>, Error> {
-    let empty = Array::default();
-    let array = array.unwrap_or(&empty);
-    let count = array.shape.iter().try_fold(N, |bytes, &extent| bytes.checked_mul(extent.try_into().ok()?));
-    if array.dtype() != dtype || count != Some(array.data.len()) {
+    width: usize,
+    item: impl Fn(&[u8; N]) -> T,
+) -> Result<Vec<T>, Error> {
+    let array = array.ok_or_else(|| missing("an array"))?;
+    let (bytes, rest) = array.data.as_chunks::<N>();
+    let length =
+        array.shape.iter().try_fold(width, |length, &extent| length.checked_mul(extent.try_into().ok()?));
+    if array.dtype() != dtype || length != Some(array.data.len()) || !rest.is_empty() {
         return Err(Error::internal("the server sent an array that contradicts itself"));
     }
-    let (elements, _) = array.data.as_chunks::<N>();
-    // Bytes are shared, not copied.
-    let shared = array.data.clone();
-    let count = elements.len();
-    Ok((0..count).map(move |index| shared.as_chunks::<N>().0[index]))
+    Ok(bytes.iter().map(item).collect())
 }
 
-/// Values of a float64 array; `InternalError` if it contradicts itself.
+/// Values of a float64 array.
 pub fn numbers(array: Option<&Array>) -> Result<Vec<f64>, Error> {
-    Ok(elements(array, DataType::Float64)?.map(f64::from_le_bytes).collect())
+    items(array, DataType::Float64, 8, |&bytes| f64::from_le_bytes(bytes))
 }
 
 /// Points of a float64 array whose last extent is 3.
 pub fn points(array: Option<&Array>) -> Result<Vec<Point>, Error> {
-    grouped(numbers(array)?)
-}
-
-fn integers(array: Option<&Array>) -> Result<Vec<u32>, Error> {
-    Ok(elements(array, DataType::Uint32)?.map(u32::from_le_bytes).collect())
-}
-
-fn grouped<T: Copy, const N: usize>(values: Vec<T>) -> Result<Vec<[T; N]>, Error> {
-    match values.as_chunks::<N>() {
-        (groups, []) => Ok(groups.to_vec()),
-        _ => Err(Error::internal("the server sent an array that contradicts itself")),
-    }
+    items(array, DataType::Float64, 8, |bytes: &[u8; 24]| {
+        let (coordinates, _) = bytes.as_chunks();
+        [0, 1, 2].map(|axis| f64::from_le_bytes(coordinates[axis]))
+    })
 }
 
 pub fn setup_facts(message: Option<v1::SetupDescription>, built: bool) -> Result<SetupFacts, Error> {
@@ -125,9 +116,14 @@ pub fn mesh(message: Option<v1::Mesh>) -> Result<Mesh, Error> {
     let message = message.ok_or_else(|| missing("a mesh"))?;
     Ok(Mesh {
         vertices: points(message.vertices.as_ref())?,
-        cells: grouped(integers(message.cells.as_ref())?)?,
-        cell_owner: integers(message.cell_owner.as_ref())?,
-        seam: elements(message.seam.as_ref(), DataType::Uint8)?.map(|[seam]| seam != 0).collect(),
+        cells: items(message.cells.as_ref(), DataType::Uint32, 4, |bytes: &[u8; 16]| {
+            let (corners, _) = bytes.as_chunks();
+            [0, 1, 2, 3].map(|corner| u32::from_le_bytes(corners[corner]))
+        })?,
+        cell_owner: items(message.cell_owner.as_ref(), DataType::Uint32, 4, |&bytes| {
+            u32::from_le_bytes(bytes)
+        })?,
+        seam: items(message.seam.as_ref(), DataType::Uint8, 1, |&[seam]| seam != 0)?,
     })
 }
 
