@@ -64,7 +64,9 @@ class FakeServer(mesh_service_pb2_grpc.MeshServiceServicer):
 
     def GetStatus(self, request: Any, context: grpc.ServicerContext) -> Any:
         self._answer(request, context)
-        return wire.GetStatusResponse(version="fake")
+        cache = wire.CacheStatus(budget_bytes=1 << 40)
+        work = [wire.Work(kind="build"), wire.Work(kind="vjp")]
+        return wire.GetStatusResponse(version="fake", queued=3, linearisation_cache=cache, work=work)
 
     def ListSetups(self, request: Any, context: grpc.ServicerContext) -> Any:
         self._answer(request, context)

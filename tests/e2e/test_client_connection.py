@@ -118,6 +118,11 @@ def test_a_retry_is_the_same_request(client: Client, server: FakeServer) -> None
     assert server.calls[2][2].request_id != first.request_id
 
 
+def test_status_is_told_as_it_is(client: Client, server: FakeServer) -> None:
+    status = client("status")
+    assert (status["queued"], status["linearisation_budget"], status["work"]) == (3, 1 << 40, ["build", "vjp"])
+
+
 def test_lists_are_read_page_by_page(client: Client, server: FakeServer) -> None:
     setups = client("list_setups")["setups"]
     assert [each["setup"] for each in setups] == ["set-up 0", "set-up 1", "set-up 2"]

@@ -303,4 +303,3 @@ def test_the_servers_status_is_told(client: Client, session: str) -> None:
     status = client("status")
     assert status["uptime_seconds"] > 0 and status["version"]
     assert status["sessions"] >= 1 and status["setups_stored"] >= 1
-    assert status["linearisation_budget"] > 0
