@@ -12,6 +12,8 @@ import moldline
 import pytest
 from moldline.v1 import mesh_service_pb2 as wire
 
+from server import Server
+
 ROOT = Path(__file__).parents[2]
 
 
@@ -80,7 +82,12 @@ def test_a_set_up_that_there_is_not(client: moldline.Client) -> None:
     assert refused.value.violations[0].field == "setup_id"
 
 
-def test_one_check_at_a_time_and_it_ends_with_its_client(client: moldline.Client, setup: moldline.Setup) -> None:
+def test_one_check_at_a_time_and_it_ends_with_its_client(server: Server, setup_folder: Path) -> None:
+    with server.client(retry=moldline.Retry(attempts=1)) as client:
+        _one_at_a_time(client, client.create_setup(setup_folder))
+
+
+def _one_at_a_time(client: moldline.Client, setup: moldline.Setup) -> None:
     long = client._stub.Check(wire.CheckRequest(setup_id=client.create_setup(ROOT / "examples/e175").id, designs=16))
     assert next(long).progress.stage == "check"
     with pytest.raises(moldline.ResourceExhausted) as refused:
