@@ -303,6 +303,8 @@ impl<'a, const B: usize> Influence<'a, B> {
     }
 
     /// The solid angle of a panel seen from its own centre, from inside: 2 pi if it is plane.
+    ///
+    /// [`solid_angle`] has no meaning there: the centre lies on the panel, and mostly on the diagonal that cuts it.
     fn own_solid_angle(&self, panel: usize) -> f64 {
         let [a, b, c, d] = self.panels.corners[panel].map(|v| self.surface.points[v as usize]);
         let centre = self.surface.centres[panel];

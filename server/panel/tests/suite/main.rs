@@ -1,0 +1,4 @@
+//! Against closed forms, published results, differences, dual numbers, and with bad input.
+
+mod flow;
+mod meshes;
