@@ -734,11 +734,6 @@ impl<'a, const B: usize> Influence<'a, B> {
         };
         Terms { edges, rays: self.wakes.rays.iter().map(ray).collect() }
     }
-
-    /// The sources' strength vectors for the onset flows.
-    pub fn sources(&self) -> &[Vec<Vector3>; B] {
-        &self.sources
-    }
 }
 
 /// `4 pi` times the strength of an edge as a filament: `constant - slope . P`.
