@@ -32,7 +32,6 @@ impl Monitor for Clock {
             _ => *last = Some((stage, Times::now())),
         }
     }
-
 }
 
 /// Seconds on the wall and of all threads' processor time since the start of the process: other programs disturb the second less.
@@ -69,9 +68,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let names = ["trailing_edge_wing", "trailing_edge_htail"].map(str::to_owned).to_vec();
     let reference = Reference { area: 68.2, chord: 3.42, span: 23.82, point: [14.0, 0.0, 0.5] };
     let flow = |degrees: f64| Flow { alpha: degrees.to_radians(), sideslip: 0.0, reference };
-        let all = [Solver::Single, Solver::Iterative, Solver::Double];
+    let all = [Solver::Single, Solver::Iterative, Solver::Double];
     let chosen = std::env::args().nth(1).unwrap_or_default();
-    for solver in all.into_iter().filter(|s| format!("{s:?}").contains(chosen.trim_start_matches("--bench"))) {
+    for solver in all.into_iter().filter(|s| format!("{s:?}").contains(chosen.trim_start_matches("--bench")))
+    {
         let options =
             Options { trailing_edges: TrailingEdges::Groups(names.clone()), solver, ..Options::default() };
         let setup = PanelSetup::new(&mesh, options)?;

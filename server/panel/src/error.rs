@@ -120,7 +120,9 @@ pub enum PanelError {
         edges: Vec<[u32; 2]>,
     },
     /// The surface is smooth at a trailing edge.
-    #[error("trailing edge {edge:?} turns by {angle} degrees only, less than {least}; no wake leaves a smooth surface")]
+    #[error(
+        "trailing edge {edge:?} turns by {angle} degrees only, less than {least}; no wake leaves a smooth surface"
+    )]
     BluntTrailingEdge {
         /// Its vertices.
         edge: [u32; 2],
@@ -148,7 +150,9 @@ pub enum PanelError {
         vertex: u32,
     },
     /// The neighbours of a cell do not span a plane.
-    #[error("cells[{cell}] has too few neighbours beside trailing edges for a surface gradient; refine there")]
+    #[error(
+        "cells[{cell}] has too few neighbours beside trailing edges for a surface gradient; refine there"
+    )]
     Gradient {
         /// The cell.
         cell: u32,
@@ -172,13 +176,17 @@ pub enum PanelError {
         sideslip: f64,
     },
     /// The influence of a panel is not a number: a collocation point lies on an edge.
-    #[error("the influence on cells[{cell}] is not finite; its centre lies on an edge of another cell, or cells overlap")]
+    #[error(
+        "the influence on cells[{cell}] is not finite; its centre lies on an edge of another cell, or cells overlap"
+    )]
     Singular {
         /// The cell.
         cell: u32,
     },
     /// Refinement or iterations did not reach the tolerance.
-    #[error("the residual is {residual:e} after {rounds} rounds, above the tolerance {tolerance:e}; cells may overlap")]
+    #[error(
+        "the residual is {residual:e} after {rounds} rounds, above the tolerance {tolerance:e}; cells may overlap"
+    )]
     NotConverged {
         /// Relative residual.
         residual: f64,

@@ -112,9 +112,7 @@ impl<'a> Gradients<'a> {
                 m += u * u.transpose();
             }
             let inverse = m.try_inverse().filter(|inverse| inverse.norm() < 1.0 / FLAT);
-            gradients
-                .inverses
-                .push(inverse.ok_or(PanelError::Gradient { cell: panels.cell_of[panel] })?);
+            gradients.inverses.push(inverse.ok_or(PanelError::Gradient { cell: panels.cell_of[panel] })?);
         }
         Ok(gradients)
     }

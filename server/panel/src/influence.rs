@@ -26,7 +26,7 @@ use rayon::prelude::*;
 
 use crate::{
     Monitor, PanelError, Stage,
-    lanes::{LANES, Lane, argument, dot_add, log_ratio, total},
+    lanes::{LANES, Lane, argument, log_ratio, total},
     matrix::Matrix,
     surface::Surface,
     topology::Panels,
@@ -183,7 +183,12 @@ impl<'a, const B: usize> Influence<'a, B> {
             .tiles_mut()
             .enumerate()
             .map_init(
-                || (vec![[0.0; LANES]; self.surface.points.len()], vec![[0.0; LANES]; self.wakes.strips.len()]),
+                || {
+                    (
+                        vec![[0.0; LANES]; self.surface.points.len()],
+                        vec![[0.0; LANES]; self.wakes.strips.len()],
+                    )
+                },
                 |(radii, strips), (index, rows)| {
                     let mut potential = [[0.0; LANES]; B];
                     if work.cancelled() {
@@ -248,9 +253,9 @@ impl<'a, const B: usize> Influence<'a, B> {
             let [a, b] = edge.ends.map(|v| &radii[v as usize]);
             for l in 0..LANES {
                 let q = log_ratio(a[l] + b[l], edge.length);
-                let a = [0, 1, 2].map(|k| edge.a[k] - tile.0[k][l]);
+                let [x, y, z] = [0, 1, 2].map(|k| edge.a[k] - tile.0[k][l]);
                 for k in 0..B {
-                    potential[k][l] = q.mul_add(dot_add(&edge.t[k], &a, 0.0), potential[k][l]);
+                    potential[k][l] += q * (edge.t[k][0] * x + edge.t[k][1] * y + edge.t[k][2] * z);
                 }
             }
         }
@@ -258,9 +263,9 @@ impl<'a, const B: usize> Influence<'a, B> {
             let omega = solid_angle(panel, tile, radii);
             for l in 0..LANES {
                 row[l] += omega[l];
-                let c = [0, 1, 2].map(|k| panel.centre[k] - tile.0[k][l]);
+                let [x, y, z] = [0, 1, 2].map(|k| panel.centre[k] - tile.0[k][l]);
                 for k in 0..B {
-                    potential[k][l] = (-omega[l]).mul_add(dot_add(&panel.s[k], &c, 0.0), potential[k][l]);
+                    potential[k][l] -= omega[l] * (panel.s[k][0] * x + panel.s[k][1] * y + panel.s[k][2] * z);
                 }
             }
         }
@@ -271,7 +276,8 @@ impl<'a, const B: usize> Influence<'a, B> {
     fn radii(&self, tile: &Tile, radii: &mut [Lane]) {
         for (p, r) in self.surface.points.iter().zip(radii) {
             for l in 0..LANES {
-                r[l] = norm(&[0, 1, 2].map(|k| p[k] - tile.0[k][l]));
+                let [x, y, z] = [0, 1, 2].map(|k| p[k] - tile.0[k][l]);
+                r[l] = (x * x + y * y + z * z).sqrt();
             }
         }
     }
@@ -333,8 +339,10 @@ impl<'a, const B: usize> Influence<'a, B> {
             .map(|change| {
                 let of_edge = |(index, e): (usize, &crate::topology::Edge)| {
                     let d = change.points[e.b as usize] - change.points[e.a as usize];
-                    let (along, length) =
-                        (self.surface.edges[index] / self.surface.lengths[index], self.surface.lengths[index]);
+                    let (along, length) = (
+                        self.surface.edges[index] / self.surface.lengths[index],
+                        self.surface.lengths[index],
+                    );
                     let stretch = along.dot(&d);
                     let turn = (d - along * stretch) / length;
                     let t = std::array::from_fn(|k| {
@@ -421,9 +429,8 @@ impl<'a, const B: usize> Influence<'a, B> {
                             + t[0] * a[0]
                             + t[1] * a[1]
                             + t[2] * a[2];
-                        out[direction][k][l] += pairs.strength[k][l] * d_omega
-                            - pairs.t_a[k][l] * d_q
-                            - pairs.q[l] * change_of_t;
+                        out[direction][k][l] +=
+                            pairs.strength[k][l] * d_omega - pairs.t_a[k][l] * d_q - pairs.q[l] * change_of_t;
                     }
                 }
             }
@@ -452,7 +459,8 @@ impl<'a, const B: usize> Influence<'a, B> {
                 let da = &change.points[ray.point as usize];
                 let p = &moved[direction].0;
                 for l in 0..LANES {
-                    let d = g[0][l] * (da.y - p[1][l]) + g[1][l] * (da.z - p[2][l]) + g[2][l] * (da.x - p[0][l]);
+                    let d =
+                        g[0][l] * (da.y - p[1][l]) + g[1][l] * (da.z - p[2][l]) + g[2][l] * (da.x - p[0][l]);
                     for k in 0..B {
                         out[direction][k][l] += strength[k] * d;
                     }
@@ -578,8 +586,8 @@ impl<'a, const B: usize> Influence<'a, B> {
                 let mut direct = [[0.0; LANES]; B];
                 for k in 0..B {
                     for l in 0..LANES {
-                        omega[l] = psi[k][l].mul_add(pairs.strength[k][l], omega[l]);
-                        q[l] = (-psi[k][l]).mul_add(pairs.t_a[k][l], q[l]);
+                        omega[l] += psi[k][l] * pairs.strength[k][l];
+                        q[l] -= psi[k][l] * pairs.t_a[k][l];
                         direct[k][l] = -psi[k][l] * pairs.q[l];
                     }
                 }
@@ -588,10 +596,10 @@ impl<'a, const B: usize> Influence<'a, B> {
                 for axis in 0..3 {
                     let (mut va, mut vb) = ([0.0; LANES], [0.0; LANES]);
                     for l in 0..LANES {
-                        va[l] = omega[l].mul_add(pairs.g_a[axis][l], q[l] * pairs.q_a[axis][l]);
-                        vb[l] = omega[l].mul_add(pairs.g_b[axis][l], q[l] * pairs.q_b[axis][l]);
+                        va[l] = omega[l] * pairs.g_a[axis][l] + q[l] * pairs.q_a[axis][l];
+                        vb[l] = omega[l] * pairs.g_b[axis][l] + q[l] * pairs.q_b[axis][l];
                         for k in 0..B {
-                            va[l] = direct[k][l].mul_add(edge.t[k][axis], va[l]);
+                            va[l] += direct[k][l] * edge.t[k][axis];
                         }
                         point[axis][l] -= va[l] + vb[l];
                     }
@@ -811,8 +819,9 @@ impl<const B: usize> EdgePairs<B> {
             pairs.q_l[l] = 2.0 * sum * by_product;
             for k in 0..B {
                 let (t, slope) = (&edge.t[k], &term.slope[k]);
-                pairs.t_a[k][l] = dot_add(t, &a, 0.0);
-                pairs.strength[k][l] = dot_add(slope, &[0, 1, 2].map(|k| -tile.0[k][l]), term.constant[k]);
+                pairs.t_a[k][l] = t[0] * a[0] + t[1] * a[1] + t[2] * a[2];
+                pairs.strength[k][l] = term.constant[k]
+                    - (slope[0] * tile.0[0][l] + slope[1] * tile.0[1][l] + slope[2] * tile.0[2][l]);
             }
         }
         pairs
@@ -835,7 +844,7 @@ fn ray_pairs(point: &Vector3, tile: &Tile) -> [Lane; 3] {
 
 #[inline(always)]
 fn norm(a: &[f64; 3]) -> f64 {
-    dot_add(a, a, 0.0).sqrt()
+    (a[0] * a[0] + a[1] * a[1] + a[2] * a[2]).sqrt()
 }
 
 /// Real and imaginary part of a triangle's complex number, twice whose argument is its solid angle.
@@ -855,20 +864,20 @@ fn solid_angle<const B: usize>(panel: &PanelRecord<B>, tile: &Tile, radii: &[Lan
     let [one, two] = &panel.twice_areas;
     let mut omega = [0.0; LANES];
     for l in 0..LANES {
-        let to_a = [0, 1, 2].map(|k| panel.a[k] - tile.0[k][l]);
+        let [x, y, z] = [0, 1, 2].map(|k| panel.a[k] - tile.0[k][l]);
         let (a, b, c, d) = (ra[l], rb[l], rc[l], rd[l]);
         // 2 (|p||q| + p.q) of the sides and of the diagonal.
-        let twice = |p: f64, q: f64, square: f64| (p + q).mul_add(p + q, -square);
+        let twice = |p: f64, q: f64, square: f64| (p + q) * (p + q) - square;
         let (ab, bc) = (twice(a, b, panel.squares[0]), twice(b, c, panel.squares[1]));
         let (cd, da) = (twice(c, d, panel.squares[2]), twice(d, a, panel.squares[3]));
         let ac = twice(a, c, panel.squares[4]);
         let real = [
-            0.5 * ab.mul_add(c, ac.mul_add(b, (bc - 4.0 * b * c) * a)),
-            0.5 * ac.mul_add(d, da.mul_add(c, (cd - 4.0 * c * d) * a)),
+            0.5 * (ab * c + ac * b + bc * a) - 2.0 * a * b * c,
+            0.5 * (ac * d + da * c + cd * a) - 2.0 * a * c * d,
         ];
-        let imaginary = [dot_add(one, &to_a, 0.0), dot_add(two, &to_a, 0.0)];
-        let re = real[0].mul_add(real[1], -(imaginary[0] * imaginary[1]));
-        let im = real[0].mul_add(imaginary[1], real[1] * imaginary[0]);
+        let imaginary = [one[0] * x + one[1] * y + one[2] * z, two[0] * x + two[1] * y + two[2] * z];
+        let re = real[0] * real[1] - imaginary[0] * imaginary[1];
+        let im = real[0] * imaginary[1] + real[1] * imaginary[0];
         omega[l] = 2.0 * argument(im, re);
     }
     omega
@@ -969,4 +978,3 @@ impl<'a> Work<'a> {
         Ok(())
     }
 }
-

@@ -205,7 +205,8 @@ impl Linearisation {
         let residuals = influence.jvp(&state.strengths(), &changes, monitor)?;
         let right: Vec<Vec<f64>> =
             residuals.into_iter().flatten().map(|r| r.into_iter().map(|r| -r).collect()).collect();
-        let mut d_mu = state.system.solve(&right, false, setup.options.tolerance, monitor)?.columns.into_iter();
+        let mut d_mu =
+            state.system.solve(&right, false, setup.options.tolerance, monitor)?.columns.into_iter();
 
         let mut out = Vec::with_capacity(directions.len());
         for (direction, change) in directions.iter().zip(&surfaces) {

@@ -85,14 +85,7 @@ fn factorise_block<T: RealField>(block: MatMut<'_, T>) -> Vec<(usize, usize)> {
     let parameters = Spec::default();
     let mut memory =
         MemBuffer::new(factor::lu_in_place_scratch::<usize, T>(rows, columns, Par::Seq, parameters));
-    factor::lu_in_place(
-        block,
-        &mut forward,
-        &mut inverse,
-        Par::Seq,
-        MemStack::new(&mut memory),
-        parameters,
-    );
+    factor::lu_in_place(block, &mut forward, &mut inverse, Par::Seq, MemStack::new(&mut memory), parameters);
     forward.into_iter().enumerate().filter(|(to, from)| to != from).collect()
 }
 

@@ -124,7 +124,7 @@ fn row_piece(entries: &[Lane], x: &[f64], sums: &mut [Lane; 2]) {
     for (entries, x) in entries.chunks(2).zip(x.chunks(2)) {
         for (sum, (entry, x)) in sums.iter_mut().zip(entries.iter().zip(x)) {
             for l in 0..LANES {
-                sum[l] = entry[l].mul_add(*x, sum[l]);
+                sum[l] += entry[l] * x;
             }
         }
     }
@@ -135,7 +135,7 @@ fn row_piece(entries: &[Lane], x: &[f64], sums: &mut [Lane; 2]) {
 fn column_piece(entries: &[Lane], x: &Lane, sums: &mut [Lane; COLUMNS]) {
     for (sum, entry) in sums.iter_mut().zip(entries) {
         for l in 0..LANES {
-            sum[l] = entry[l].mul_add(x[l], sum[l]);
+            sum[l] += entry[l] * x[l];
         }
     }
 }

@@ -62,15 +62,14 @@ impl<const B: usize> Pressure<B> {
         change: &SurfaceChange,
     ) -> Vec<Form<B>> {
         let onsets: [Vector3; B] = std::array::from_fn(|k| surface.onset(panels.axes()[k]));
-        let d_onsets: [Vector3; B] = std::array::from_fn(|k| surface.onset_by_beta(panels.axes()[k]) * change.beta);
+        let d_onsets: [Vector3; B] =
+            std::array::from_fn(|k| surface.onset_by_beta(panels.axes()[k]) * change.beta);
         (0..panels.len())
             .map(|panel| {
                 let (n, dn) = (&surface.normals[panel], &change.normals[panel]);
                 let du: [Vector3; B] = std::array::from_fn(|k| {
                     let (o, d_o) = (&onsets[k], &d_onsets[k]);
-                    gradients[k][panel] + d_o
-                        - n * (n.dot(d_o) + dn.dot(o))
-                        - dn * n.dot(o)
+                    gradients[k][panel] + d_o - n * (n.dot(d_o) + dn.dot(o)) - dn * n.dot(o)
                 });
                 std::array::from_fn(|k| {
                     std::array::from_fn(|l| {

@@ -204,9 +204,8 @@ impl Solution {
         let everything: Vec<u32> = (0..panels.len() as u32).collect();
         let images: &[u32] = if panels.symmetric { &everything } else { &[] };
         let total = loads("total", state, &panel_cp, &everything, images, flow, &wind);
-        let component = |c: &crate::setup::Component| {
-            loads(&c.name, state, &panel_cp, &c.own, &c.mirrored, flow, &wind)
-        };
+        let component =
+            |c: &crate::setup::Component| loads(&c.name, state, &panel_cp, &c.own, &c.mirrored, flow, &wind);
         let sections = setup
             .wakes
             .strips
@@ -287,11 +286,7 @@ fn loads<const B: usize>(
     Loads {
         name: name.to_owned(),
         force: force.into(),
-        moment: [
-            moment.x / reference.span,
-            moment.y / reference.chord,
-            moment.z / reference.span,
-        ],
+        moment: [moment.x / reference.span, moment.y / reference.chord, moment.z / reference.span],
         lift: force.dot(&wind.lift),
         drag: force.dot(&wind.drag),
     }

@@ -259,7 +259,11 @@ impl Factors {
         match self {
             Self::Double(factor) => {
                 let mut columns = Mat::from_fn(right[0].len(), right.len(), |i, j| right[j][i]);
-                if transposed { factor.solve_transposed(&mut columns) } else { factor.solve(&mut columns) }
+                if transposed {
+                    factor.solve_transposed(&mut columns)
+                } else {
+                    factor.solve(&mut columns)
+                }
                 (0..right.len()).map(|j| columns.col_as_slice(j).to_vec()).collect()
             }
             Self::Single(factor) => {
@@ -268,10 +272,13 @@ impl Factors {
                     right.iter().map(|b| largest(b)).map(|s| if s > 0.0 { s } else { 1.0 }).collect();
                 let mut columns =
                     Mat::from_fn(right[0].len(), right.len(), |i, j| (right[j][i] / scales[j]) as f32);
-                if transposed { factor.solve_transposed(&mut columns) } else { factor.solve(&mut columns) }
-                let column = |j: usize| {
-                    columns.col_as_slice(j).iter().map(|x| f64::from(*x) * scales[j]).collect()
-                };
+                if transposed {
+                    factor.solve_transposed(&mut columns)
+                } else {
+                    factor.solve(&mut columns)
+                }
+                let column =
+                    |j: usize| columns.col_as_slice(j).iter().map(|x| f64::from(*x) * scales[j]).collect();
                 (0..right.len()).map(column).collect()
             }
             Self::Blocks(blocks) => right.iter().map(|b| blocks.solve(b, transposed)).collect(),
@@ -307,7 +314,11 @@ impl Blocks {
             .zip(&self.factors)
             .map(|(members, factor)| {
                 let mut part = Mat::from_fn(members.len(), 1, |i, _| b[members[i] as usize]);
-                if transposed { factor.solve_transposed(&mut part) } else { factor.solve(&mut part) }
+                if transposed {
+                    factor.solve_transposed(&mut part)
+                } else {
+                    factor.solve(&mut part)
+                }
                 part
             })
             .collect();
@@ -327,8 +338,7 @@ fn bisect(mut set: Vec<u32>, centres: &[Vector3], out: &mut Vec<Vec<u32>>) {
         return;
     }
     let start = (Vector3::repeat(f64::INFINITY), Vector3::repeat(f64::NEG_INFINITY));
-    let (low, high) =
-        set.iter().map(|i| &centres[*i as usize]).fold(start, |(l, h), c| (l.inf(c), h.sup(c)));
+    let (low, high) = set.iter().map(|i| &centres[*i as usize]).fold(start, |(l, h), c| (l.inf(c), h.sup(c)));
     let axis = (high - low).imax();
     set.sort_unstable_by(|i, j| {
         centres[*i as usize][axis].total_cmp(&centres[*j as usize][axis]).then(i.cmp(j))

@@ -92,17 +92,11 @@ impl Panels {
         Ok(panels)
     }
 
-    fn pick(
-        mesh: &SurfaceMesh,
-        half: bool,
-        mirror: Option<(Vec<u32>, Vec<u32>)>,
-        tolerance: f64,
-    ) -> Self {
+    fn pick(mesh: &SurfaceMesh, half: bool, mirror: Option<(Vec<u32>, Vec<u32>)>, tolerance: f64) -> Self {
         let symmetric = half || mirror.is_some();
         let (vertex_partner, cell_partner) = mirror.unzip();
-        let starboard = |cell: &Cell| {
-            cell.vertices().iter().map(|v| mesh.vertices[*v as usize][1]).sum::<f64>() > 0.0
-        };
+        let starboard =
+            |cell: &Cell| cell.vertices().iter().map(|v| mesh.vertices[*v as usize][1]).sum::<f64>() > 0.0;
         let cell_of: Vec<u32> = (0..mesh.cells.len() as u32)
             .filter(|&cell| cell_partner.is_none() || starboard(&mesh.cells[cell as usize]))
             .collect();
@@ -145,8 +139,8 @@ impl Panels {
         }
         let on_plane =
             vertex_of.iter().map(|&v| symmetric && mesh.vertices[v as usize][1].abs() <= tolerance).collect();
-        let partner = vertex_partner
-            .map(|partner: Vec<u32>| vertex_of.iter().map(|&v| partner[v as usize]).collect());
+        let partner =
+            vertex_partner.map(|partner: Vec<u32>| vertex_of.iter().map(|&v| partner[v as usize]).collect());
         Self {
             corners,
             edges,

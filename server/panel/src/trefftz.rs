@@ -121,8 +121,7 @@ impl Trace {
                             let share = sign / roots.len() as f64;
                             let mut rise: Vec<(u32, f64)> = roots.iter().map(|r| (*r, -share)).collect();
                             rise.push((own, sign));
-                            let ends =
-                                if side == 0 { [at(end), at(point)] } else { [at(point), at(end)] };
+                            let ends = if side == 0 { [at(end), at(point)] } else { [at(point), at(end)] };
                             elements.push(Element { ends, rise, over: Vec::new() });
                         }
                     }
@@ -288,7 +287,8 @@ impl Trace {
                 let mut seed = [[0.0; B]; B];
                 seed[k][l] = 1.0;
                 let mut point_seeds = vec![Vector3::zeros(); points.len()];
-                let mut strip_seeds: [Vec<f64>; B] = std::array::from_fn(|k| vec![0.0; circulations[k].len()]);
+                let mut strip_seeds: [Vec<f64>; B] =
+                    std::array::from_fn(|k| vec![0.0; circulations[k].len()]);
                 self.drag_vjp(points, circulations, &seed, &mut point_seeds, &mut strip_seeds);
                 for (out, (d_points, d_circulations)) in out.iter_mut().zip(changes) {
                     out[k][l] = point_seeds.iter().zip(*d_points).map(|(s, d)| s.dot(d)).sum::<f64>();

@@ -294,13 +294,15 @@ fn find(
                 if edge.iter().any(|&v| v as usize >= panels.vertices) {
                     return Err(PanelError::NotAnEdge { index, edge });
                 }
-                let [a, b] = edge.map(|v| panels.vertex_of.binary_search(&v).ok());
                 // Edges of the half that is not solved are those of its image.
-                let (Some(a), Some(b)) = (a, b) else { continue };
+                let own = |v: u32| panels.vertex_of.binary_search(&v).ok();
+                let image = |v: u32| panels.partner.as_ref()?.iter().position(|p| *p == v);
+                let ends = [own(edge[0]).zip(own(edge[1])), image(edge[0]).zip(image(edge[1]))];
+                let (a, b) =
+                    ends.into_iter().flatten().next().ok_or(PanelError::NotAnEdge { index, edge })?;
                 let found = panels.edge_between(a as u32, b as u32);
                 let found = found.ok_or(PanelError::NotAnEdge { index, edge })?;
-                let (angle, _) =
-                    turn(panels, points, found).ok_or(PanelError::NotAnEdge { index, edge })?;
+                let (angle, _) = turn(panels, points, found).ok_or(PanelError::NotAnEdge { index, edge })?;
                 if angle < NAMED {
                     return Err(PanelError::BluntTrailingEdge { edge, angle, least: NAMED });
                 }

@@ -64,12 +64,7 @@ pub(crate) struct Totals<const B: usize> {
 
 impl<const B: usize> Totals<B> {
     pub fn zeros() -> Self {
-        Self {
-            force: [[Vector3::zeros(); B]; B],
-            moment: [[0.0; B]; B],
-            lift: [0.0; B],
-            drag: [[0.0; B]; B],
-        }
+        Self { force: [[Vector3::zeros(); B]; B], moment: [[0.0; B]; B], lift: [0.0; B], drag: [[0.0; B]; B] }
     }
 }
 
@@ -260,7 +255,9 @@ fn gradient<const B: usize>(totals: &Totals<B>, flow: &Flow, seeds: &Scalars) ->
     // Of f: the vectors that it is multiplied with; of df likewise.
     let moment_arm = Vector3::new(-z0, 0.0, x0);
     let of_f = by_area
-        * (s.pressure_lift * wind.lift + s.pressure_drag * wind.drag + s.pressure_lift_slope * wind.lift_by_alpha)
+        * (s.pressure_lift * wind.lift
+            + s.pressure_drag * wind.drag
+            + s.pressure_lift_slope * wind.lift_by_alpha)
         + by_volume * s.moment * moment_arm;
     let of_df = by_area * s.pressure_lift_slope * wind.lift + by_volume * s.moment_slope * moment_arm;
     for k in 0..B {

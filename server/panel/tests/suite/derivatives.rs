@@ -145,9 +145,8 @@ fn products_agree_with_central_differences() {
         let values = numbers(&case.moved(&direction, 0.0));
         let at = |step: f64| numbers(&case.moved(&direction, step));
         let [a, b, c, d] = [at(-2.0 * scale), at(-scale), at(scale), at(2.0 * scale)];
-        let differences: Vec<f64> = (0..a.len())
-            .map(|i| (8.0 * (c[i] - b[i]) - (d[i] - a[i])) / (12.0 * scale))
-            .collect();
+        let differences: Vec<f64> =
+            (0..a.len()).map(|i| (8.0 * (c[i] - b[i]) - (d[i] - a[i])) / (12.0 * scale)).collect();
         let largest = |range: std::ops::Range<usize>| {
             let size = exact[range.clone()].iter().fold(0.0_f64, |m, x| m.max(x.abs()));
             let error = range.map(|i| (exact[i] - differences[i]).abs()).fold(0.0, f64::max);

@@ -17,7 +17,10 @@ fn body(symmetry: Symmetry) -> Options {
 }
 
 fn report(name: &str, a: &Analysis) {
-    println!("{name}: {:?} disagreement {:.5} residual {:e} rounds {}", a.scalars, a.disagreement, a.residual, a.rounds);
+    println!(
+        "{name}: {:?} disagreement {:.5} residual {:e} rounds {}",
+        a.scalars, a.disagreement, a.residual, a.rounds
+    );
 }
 
 #[test]
@@ -41,7 +44,10 @@ fn sphere_pressure() {
                 worst = worst.max((cp - exact).abs());
             }
             let rms = (sum / a.cp.len() as f64).sqrt();
-            println!("n {n} {symmetry:?} unknowns {} rms {rms:.5} worst {worst:.5}", setup.summary().unknowns);
+            println!(
+                "n {n} {symmetry:?} unknowns {} rms {rms:.5} worst {worst:.5}",
+                setup.summary().unknowns
+            );
             report("sphere", &a);
         }
     }
