@@ -42,12 +42,14 @@ pub async fn check(
     let request = http.document::<Check>(&headers, body).await?.message(setup_id)?;
     let mut events = http.meshes.check(caller, deadline, request);
     if media == Media::Events {
-        return Ok(stream(UnboundedReceiverStream::new(events).map(|outcome| match outcome.map(|e| e.event) {
-            Ok(Some(Event::Progress(progress))) => event("progress", &progress),
-            Ok(Some(Event::Report(report))) => event("report", &report),
-            Ok(None) => String::new(),
-            Err(error) => event("problem", &Refusal::from(error).problem()),
-        })));
+        return Ok(stream(UnboundedReceiverStream::new(events).map(
+            |outcome| match outcome.map(|e| e.event) {
+                Ok(Some(Event::Progress(progress))) => event("progress", &progress),
+                Ok(Some(Event::Report(report))) => event("report", &report),
+                Ok(None) => String::new(),
+                Err(error) => event("problem", &Refusal::from(error).problem()),
+            },
+        )));
     }
     media::document(StatusCode::OK, &report(&mut events).await?)
 }
