@@ -4,7 +4,7 @@
 //! [`Chain`] evaluates what [`moldline_deform::Setup::deform`] evaluates in dual numbers. Of the engine it takes what is
 //! discrete (patches, features, sides, training sets, charts) and the converged values to start from. What is continuous it
 //! evaluates anew: splines from the recurrence, implicit steps by Newton's method in dual arithmetic, radial basis
-//! functions by LU decomposition of the saddle-point matrix.
+//! functions by LU decomposition of the saddle-point matrix with twice the digits.
 //!
 //! Absent on purpose: files, and anything that only a check would need in the engine.
 
@@ -17,8 +17,10 @@ mod dual;
 mod engine;
 mod field;
 mod random;
+mod report;
 mod seam;
 mod spline;
+mod twice;
 
 pub use chain::{Chain, Evaluation, Stages};
 pub use check::{
@@ -26,6 +28,7 @@ pub use check::{
     Watch, check_design, designs, largest, range,
 };
 pub use differences::{Derivative, central_difference, norm, relative_error};
+pub use report::{Designs, Maximum, Observer, Report, Request};
 
 /// Why a check cannot be carried out.
 #[derive(Debug, thiserror::Error)]
@@ -33,6 +36,14 @@ pub enum CheckError {
     /// The engine refuses the design, or does not find the mesh.
     #[error(transparent)]
     Deform(#[from] moldline_deform::DeformError),
+    /// There is no such variable.
+    #[error("{error}")]
+    Variable {
+        /// Which of the names.
+        index: usize,
+        /// What is wrong with it.
+        error: moldline_parameterisation::DesignError,
+    },
     /// A seam point is not where its line goes.
     #[error(
         "the seam point of vertex {vertex} is {distance:.1e} m away from the line that it is searched along"

@@ -19,6 +19,7 @@
 
 mod access;
 mod cancel;
+mod checks;
 mod error;
 mod flight;
 mod limits;
@@ -35,10 +36,12 @@ mod setups;
 mod status;
 mod upload;
 
+pub use moldline_check::Report as CheckReport;
 pub use moldline_setup::ArchiveKind;
 
 pub use access::{Access, Listed, Page, Session, SessionUpdate, SetupSummary, Visibility};
 pub use cancel::Cancellation;
+pub use checks::{CheckAt, CheckRequest};
 pub use error::{Code, ServiceError, Violation};
 pub use limits::Limits;
 pub use linearisation::{

@@ -105,6 +105,11 @@ impl Resolved {
         Ok(Self { vector, overrides: overrides.collect::<Result<_, ServiceError>>()? })
     }
 
+    /// The values alone.
+    pub fn into_vector(self) -> Vec<f64> {
+        self.vector
+    }
+
     /// As it is stored.
     pub fn design(&self, parameterisation: &Parameterisation) -> Design {
         let name = |component: usize| parameterisation.components()[component].clone();

@@ -5,12 +5,14 @@ use std::{
     time::{Duration, Instant},
 };
 
+use moldline_check::Report;
 use moldline_deform::{Setup, Tangent};
 use tokio::sync::Semaphore;
 
 use crate::{
     access::{Access, Listed, Page, Session, SessionUpdate, SetupSummary, Visibility},
     cancel::Cancellation,
+    checks::{CheckRequest, Watcher},
     error::{Code, ServiceError, shorten},
     flight::{Flights, Joined, Reports},
     limits::Limits,
@@ -40,6 +42,10 @@ pub struct Service {
     sessions: Arc<Sessions<Linearised>>,
     /// Linearisations that are being made for products, by session and id.
     linearisations: Flights<(String, String), Linearised>,
+    /// One permit for each check that may run.
+    checking: Arc<Semaphore>,
+    /// Checks under way, by set-up and what is asked.
+    checks: Flights<(SetupId, String), Product<Report>>,
 }
 
 /// An upload under way; its place is free when this is dropped.
@@ -147,6 +153,8 @@ impl Service {
             created: std::sync::Mutex::new(Answers::new(ANSWERS)),
             sessions: Arc::new(Sessions::new(&limits)),
             linearisations: Flights::default(),
+            checking: Arc::new(Semaphore::new(limits.checks)),
+            checks: Flights::default(),
             limits,
         })
     }
@@ -167,13 +175,7 @@ impl Service {
     /// `InvalidArgument` for the header's faults, `ResourceExhausted` if too many uploads are under way.
     pub fn receive(&self, caller: &Principal, header: UploadHeader) -> Result<Receiving<'_>, ServiceError> {
         caller.need(Role::User)?;
-        let place = self.uploads.try_acquire().map_err(|_| {
-            ServiceError::new(
-                Code::ResourceExhausted,
-                format!("{} uploads are under way, which is the limit; try again later", self.limits.uploads),
-            )
-            .retry_after(Duration::from_secs(1))
-        })?;
+        let place = self.uploads.try_acquire().map_err(|_| too_many("uploads", self.limits.uploads))?;
         let upload = Upload::begin(header, &self.limits)?;
         Ok(Receiving { upload, limits: &self.limits, _place: place })
     }
@@ -558,6 +560,42 @@ impl Service {
         Ok(Product { value, timing: timing + Timing { queued, engine: ran } })
     }
 
+    /// Checks the derivatives of a set-up. Who asks for the same as somebody else at the same time gets the same check.
+    /// Dropping the future gives up on it; the check ends when nobody waits for it.
+    ///
+    /// # Errors
+    /// `NotFound`, `InvalidArgument` naming what does not fit, `FailedPrecondition` if the engine cannot reach a design,
+    /// `ResourceExhausted` if other checks are under way or the queue is full.
+    pub async fn check(
+        &self,
+        caller: &Principal,
+        setup_id: &str,
+        request: CheckRequest,
+        tell: impl FnMut(Progress),
+    ) -> Result<Arc<Product<Report>>, ServiceError> {
+        caller.need(Role::User)?;
+        let SetupView { setup, .. } = self.get_setup(caller, setup_id).await?;
+        let request = request.resolve(setup.engine.parameterisation(), &self.limits)?;
+        let key = (setup.id.clone(), format!("{request:?}"));
+        let work = |reports: Reports<Product<Report>>| {
+            let place = Arc::clone(&self.checking).try_acquire_owned();
+            let (pool, limit) = (Arc::clone(&self.pool), self.limits.checks);
+            async move {
+                let _place = place.map_err(|_| too_many("checks", limit))?;
+                let work = move |cancellation: &Cancellation| {
+                    let watcher = Watcher::new(cancellation.clone(), |progress| reports.tell(progress));
+                    Ok(Report::new(&setup.engine, &request, &watcher)?)
+                };
+                let Completed { value, queued, ran } = pool.run(work).await?;
+                Ok(Product { value, timing: Timing { queued, engine: ran } })
+            }
+        };
+        match self.checks.join(key, || None, work, |_| {}) {
+            Joined::Found(report) => Ok(report),
+            Joined::Following(follower) | Joined::Started(follower) => follower.land(tell).await,
+        }
+    }
+
     fn answers(&self) -> std::sync::MutexGuard<'_, Answers> {
         self.created.lock().unwrap_or_else(std::sync::PoisonError::into_inner)
     }
@@ -603,6 +641,11 @@ async fn linearise(
 
 fn keep(sessions: &Sessions<Linearised>, session_id: &str, linearised: &Arc<Linearised>) {
     sessions.keep(session_id, linearised.id(), Arc::clone(linearised), linearised.bytes());
+}
+
+fn too_many(what: &str, limit: usize) -> ServiceError {
+    let message = format!("the limit of {limit} {what} at a time is reached; try again later");
+    ServiceError::new(Code::ResourceExhausted, message).retry_after(Duration::from_secs(1))
 }
 
 fn not_kept(id: &str) -> ServiceError {

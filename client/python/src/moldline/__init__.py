@@ -10,6 +10,7 @@ Vertices are float64 arrays of shape (n, 3) in metres; designs are float64 array
 each entry in its variable's unit. :mod:`moldline.aio` is the same for asyncio.
 """
 
+from moldline.check import Check, CheckedDesign, CheckedVariable, Difference, DotProduct
 from moldline.client import Client, Session, Setup
 from moldline.connection import TLS
 from moldline.errors import (
@@ -59,11 +60,16 @@ __all__ = [
     "At",
     "CacheStatus",
     "Cancelled",
+    "Check",
+    "CheckedDesign",
+    "CheckedVariable",
     "Client",
     "DeadlineExceeded",
     "Deformation",
     "DesignPoint",
+    "Difference",
     "Distribution",
+    "DotProduct",
     "FailedPrecondition",
     "FieldViolation",
     "Function",

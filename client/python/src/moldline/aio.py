@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from moldline import connection, operations
+from moldline.check import Check
 from moldline.connection import TLS
 from moldline.errors import MoldlineError, translated
 from moldline.facts import SessionFacts, SetupFacts
@@ -180,6 +181,21 @@ class Setup(SetupFacts):
         if self._control_points is None:
             self._control_points = await self._client._run(operations.control_points(self), None)
         return self._control_points
+
+    async def check(
+        self,
+        designs: int = 1,
+        *,
+        design: Mapping[str, float] | ArrayLike | None = None,
+        variables: Iterable[str] = (),
+        seed: int = 1,
+        progress: bool | Tell = False,
+        timeout: float = math.inf,
+    ) -> Check:
+        """As :meth:`moldline.Setup.check`."""
+        with told(progress) as tell:
+            operation = operations.check(self, designs, design, variables, seed, tell)
+            return await self._client._run(operation, timeout)
 
     async def share(
         self, visibility: Visibility, *, shared_with: Iterable[str] = (), timeout: float | None = None

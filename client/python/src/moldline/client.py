@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from moldline import connection, operations
+from moldline.check import Check
 from moldline.connection import TLS
 from moldline.errors import MoldlineError, translated
 from moldline.facts import SessionFacts, SetupFacts
@@ -116,6 +117,12 @@ class Client:
         """What the server does and holds: of your tenant, or of all if you are an administrator."""
         return self._run(operations.status(), timeout)
 
+    def check(self, setup: Setup | str | os.PathLike[str], designs: int = 1, **options: Any) -> Check:
+        """Checks the derivatives of a set-up, or of that in a folder or an archive; see :meth:`Setup.check`."""
+        if not isinstance(setup, Setup):
+            setup = self.create_setup(setup, progress=options.get("progress", False))
+        return setup.check(designs, **options)
+
     def close(self) -> None:
         """Closes the connection; calls under way are cancelled."""
         if self._own:
@@ -187,6 +194,32 @@ class Setup(SetupFacts):
         Patch after patch, the second parameter fastest.
         """
         return self._client._run(operations.control_points(self), None)
+
+    def check(
+        self,
+        designs: int = 1,
+        *,
+        design: Mapping[str, float] | ArrayLike | None = None,
+        variables: Iterable[str] = (),
+        seed: int = 1,
+        progress: bool | Tell = False,
+        timeout: float = math.inf,
+    ) -> Check:
+        """Checks the derivatives: products against their transposes, dual numbers and central differences.
+
+        `designs`: at how many designs: the baseline, then random ones far from it.
+        `design`: the only design to check at, in their place, as :meth:`Session.deform` takes it.
+        `variables`: names of variables or of groups of them, to be compared with dual numbers and central differences;
+        all if empty.
+        `seed`: of the random designs and vectors.
+        `progress`: `True` for a progress bar, or a function that is called with each :class:`Progress`.
+        `timeout`: seconds it may take. It is minutes of work for the E175.
+
+        Raises :class:`InvalidArgument` naming what is wrong, :class:`ResourceExhausted` while other checks are under way.
+        """
+        with told(progress) as tell:
+            operation = operations.check(self, designs, design, variables, seed, tell)
+            return self._client._run(operation, timeout)
 
     def share(
         self, visibility: Visibility, *, shared_with: Iterable[str] = (), timeout: float | None = None

@@ -17,6 +17,7 @@ from moldline.model import (
     DesignPoint,
     Function,
     Linearisation,
+    Progress,
     SessionState,
     SetupAccess,
     SetupSummary,
@@ -32,6 +33,11 @@ _VISIBILITIES: dict[Visibility, wire.Visibility] = {
     "tenants": wire.VISIBILITY_TENANTS,
     "public": wire.VISIBILITY_PUBLIC,
 }
+
+
+def progress(message: wire.Progress) -> Progress:
+    """How far long work has come."""
+    return Progress(message.stage, message.fraction, message.message)
 
 
 def access(message: wire.SetupAccess) -> SetupAccess:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from moldline import arrays, convert, upload
+from moldline.check import Check, check_from_wire
 from moldline.errors import InternalError, NotFound
 from moldline.facts import SetupFacts
 from moldline.mesh import Mesh
@@ -80,7 +81,7 @@ def create_setup(
         if event.HasField("created"):
             created[:] = [event.created]
         else:
-            tell(Progress(event.progress.stage, event.progress.fraction, event.progress.message))
+            tell(convert.progress(event.progress))
 
     yield Call("CreateSetup", lambda: upload.messages(header, files), lambda: receive)
     if not created:
@@ -129,6 +130,34 @@ def share_setup(setup_id: str, visibility: Visibility, shared_with: Iterable[str
 def delete_setup(setup_id: str) -> Operation[None]:
     """Gives it up; without effect the second time."""
     yield from _gone(Call("DeleteSetup", wire.DeleteSetupRequest(setup_id=setup_id)))
+
+
+def check(
+    setup: SetupFacts,
+    designs: int,
+    design: Mapping[str, float] | ArrayLike | None,
+    variables: Iterable[str],
+    seed: int,
+    tell: Tell,
+) -> Operation[Check]:
+    """Checks derivatives."""
+    request = wire.CheckRequest(setup_id=setup.id, seed=seed, variables=variables)
+    if design is None:
+        request.designs = designs
+    else:
+        convert.write_point(DesignPoint(design), request)
+    report: list[wire.CheckReport] = []
+
+    def receive(event: wire.CheckResponse) -> None:
+        if event.HasField("report"):
+            report[:] = [event.report]
+        else:
+            tell(convert.progress(event.progress))
+
+    yield Call("Check", request, lambda: receive)
+    if not report:
+        raise InternalError("the server ended without a result")
+    return check_from_wire(report[0], tuple(variable.name for variable in setup.variables))
 
 
 def open_session(setup_id: str, label: str, request_id: str | None) -> Operation[SessionState]:
