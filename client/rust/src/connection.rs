@@ -187,12 +187,7 @@ impl Deadline {
         match timeout_at(end, answer).await {
             Err(_) => Err(late()),
             // A server that ends a call at its deadline may say so in this way.
-            // However the end was told: a call given up on may look as if the connection had broken.
-            Ok(Err(error))
-                if matches!(error.code, Code::Cancelled | Code::Unavailable) && Instant::now() >= end =>
-            {
-                Err(late())
-            }
+            Ok(Err(error)) if error.code == Code::Cancelled && Instant::now() >= end => Err(late()),
             Ok(answer) => answer,
         }
     }
