@@ -128,13 +128,11 @@ pub enum Step {
     Placed,
     /// Vertices on the outer mold line.
     Vertices,
-    /// The scalar outputs.
-    Functions,
 }
 
 impl Step {
     /// All, in order.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 7] = [
         Self::ControlPoints,
         Self::SeamPositions,
         Self::SeamParameters,
@@ -142,7 +140,6 @@ impl Step {
         Self::Displacements,
         Self::Placed,
         Self::Vertices,
-        Self::Functions,
     ];
 
     /// Words for people and files.
@@ -155,7 +152,6 @@ impl Step {
             Self::Displacements => "field",
             Self::Placed => "placement",
             Self::Vertices => "outer mold line",
-            Self::Functions => "scalar outputs",
         }
     }
 
@@ -170,7 +166,6 @@ impl Step {
             Self::Displacements => flat(&stages.displacements),
             Self::Placed => flat(&stages.placed),
             Self::Vertices => flat(&stages.vertices),
-            Self::Functions => stages.functions.clone(),
         }
     }
 }
@@ -200,7 +195,7 @@ pub struct VariableCheck {
     pub variable: usize,
     /// `|J v|` over all vertices, m per unit of the variable.
     pub size: f64,
-    /// Relative error against dual numbers: of the vertices, or of a scalar output where that is larger.
+    /// Relative error against dual numbers.
     pub dual: f64,
     /// The vertex that contributes most to it.
     pub worst_vertex: usize,
@@ -463,23 +458,17 @@ fn against_dual(
             let difference: Vec<f64> = a.iter().zip(&b).map(|(a, b)| a - b).collect();
             // A step that does next to nothing has rounding for a derivative.
             let size = length(&b).max(1e-6 * moved);
-            let error = match step {
-                _ if a.len() != b.len() => f64::INFINITY,
-                // Each in a unit of its own.
-                Step::Functions => function_error(&a, &b, &dual.values.functions),
-                _ => length(&difference) / size,
-            };
+            let error = if a.len() != b.len() { f64::INFINITY } else { length(&difference) / size };
             (step, if error.is_nan() && size == 0.0 { 0.0 } else { error })
         })
         .collect();
-    let functions = function_error(&tangent.functions, &exact.functions, &dual.values.functions);
     let exact: Vec<[f64; 3]> = exact.vertices.iter().map(|&x| x.into()).collect();
     let off = |v: &usize| (Real::from(tangent.vertices[*v]) - Real::from(exact[*v])).norm();
     let worst = (0..exact.len()).max_by(|a, b| off(a).total_cmp(&off(b)));
     VariableCheck {
         variable,
         size: norm(&tangent.vertices),
-        dual: largest([relative_error(&tangent.vertices, &exact), functions].into_iter()),
+        dual: relative_error(&tangent.vertices, &exact),
         worst_vertex: worst.unwrap_or(0),
         // Not "not within": an error that is not a number is one too.
         first_off: steps

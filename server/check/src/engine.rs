@@ -39,7 +39,6 @@ impl Linear for Linearisation {
             displacements: stages.displacements,
             placed: stages.placed,
             vertices: stages.vertices,
-            functions: stages.functions,
         })
     }
 }

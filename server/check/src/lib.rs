@@ -16,7 +16,6 @@ mod differences;
 mod dual;
 mod engine;
 mod field;
-mod outputs;
 mod random;
 mod report;
 mod seam;

@@ -57,31 +57,18 @@ pub struct Function {
 
 /// A point by its internal parameters.
 #[derive(Clone, Debug)]
-pub struct At {
-    /// Index of the component.
-    pub component: usize,
-    /// Where on it.
-    pub location: Location,
+struct At {
+    component: usize,
+    location: Location,
 }
 
 /// What a group of functions is made of.
 #[derive(Clone, Debug)]
-pub enum Item {
-    /// Volume within the mesh.
+enum Item {
     EnclosedVolume,
-    /// Area of the cells of a component.
-    WettedArea {
-        /// Its index.
-        component: u32,
-    },
-    /// Volume of a component.
-    Volume {
-        /// Its index.
-        component: usize,
-    },
-    /// A weighted sum of points: three functions.
+    WettedArea { component: u32 },
+    Volume { component: usize },
     Point(Vec<(At, f64)>),
-    /// Area, span and mean aerodynamic chord of stations from tip to tip, leading and trailing edge of each.
     Planform(Vec<[At; 2]>),
 }
 
@@ -207,16 +194,6 @@ impl Outputs {
     /// The functions, in the order of their values.
     pub fn functions(&self) -> &[Function] {
         &self.functions
-    }
-
-    /// What the functions are made of, in the same order.
-    pub fn items(&self) -> &[Item] {
-        &self.items
-    }
-
-    /// What volumes are seen from, m.
-    pub fn origin(&self) -> Vector3 {
-        self.origin
     }
 
     /// The values of all functions.
@@ -464,7 +441,7 @@ fn planform(stations: &[[At; 2]], bodies: &[Body]) -> ([f64; 3], [Vec<[Vector3; 
 
 /// Calls `f(weight, location)` at the points of a Gauss rule over all patches, exact for the volume of patches that are not
 /// rational; weights are negative where a patch's parameters turn inwards.
-pub fn quadrature(body: &Body, mut f: impl FnMut(f64, &Location)) {
+fn quadrature(body: &Body, mut f: impl FnMut(f64, &Location)) {
     for (patch, description) in (0u32..).zip(body.component().patches()) {
         let surface = &description.surface;
         let sign = if description.flipped { -1.0 } else { 1.0 };
