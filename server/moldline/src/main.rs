@@ -12,6 +12,7 @@ mod local;
 mod plot;
 mod serve;
 mod shutdown;
+mod store;
 mod telemetry;
 
 use config::{Cli, Command};
@@ -25,6 +26,7 @@ fn main() -> ExitCode {
         Command::Setup(options) => local::setup(&options),
         Command::Check(options) => check::run(&options),
         Command::Schema(options) => local::schema(&options),
+        Command::Store(options) => store::run(&options),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,

@@ -2,7 +2,7 @@
 
 use std::{io::Write, net::SocketAddr, sync::Arc, time::Duration};
 
-use moldline_service::Service;
+use moldline_service::{Service, Store, StoreError};
 use tokio::{net::TcpListener, runtime, sync::oneshot, time};
 use tonic::transport::server::TcpIncoming;
 
@@ -20,6 +20,9 @@ pub enum ServeError {
     /// No threads.
     #[error("cannot start the compute threads: {0}")]
     Threads(#[from] rayon::ThreadPoolBuildError),
+    /// The store is not to be had.
+    #[error(transparent)]
+    Store(#[from] StoreError),
     /// No runtime.
     #[error("cannot start: {0}")]
     Start(#[from] std::io::Error),
@@ -42,14 +45,17 @@ pub fn run(options: &Serve) -> Result<(), crate::local::Failure> {
     if !options.listen.ip().is_loopback() && !options.insecure_listen {
         return Err(ServeError::Public(options.listen).into());
     }
-    let service = Arc::new(Service::new(options.pool(), options.limits()).map_err(ServeError::from)?);
     // Requests are few and compute elsewhere: one thread more than one keeps health probes answered.
     let runtime = runtime::Builder::new_multi_thread()
         .worker_threads(2)
         .enable_all()
         .build()
         .map_err(ServeError::from)?;
-    let outcome = runtime.block_on(serve(options, service));
+    let outcome = runtime.block_on(async {
+        let store = Store::open(&options.store).await?;
+        let service = Service::with_store(store, options.pool(), options.limits())?;
+        serve(options, Arc::new(service)).await
+    });
     runtime.shutdown_background();
     Ok(outcome?)
 }
@@ -106,7 +112,10 @@ fn announce(address: SocketAddr, options: &Serve) -> Result<(), ServeError> {
     writeln!(output, "{}", serde_json::json!({ "event": "listening", "address": address.to_string() }))?;
     output.flush()?;
     let pool = options.pool();
-    tracing::info!(%address, threads = pool.threads, running = pool.running, queued = pool.queued, "listening");
+    tracing::info!(%address, threads = pool.threads, running = pool.running, queued = pool.queued, store = options.store, "listening");
+    if options.store == "memory" {
+        tracing::warn!("set-ups and sessions end with this server");
+    }
     if address.ip().is_loopback() {
         tracing::warn!("no authentication: every user of this machine can use this server");
     } else {
