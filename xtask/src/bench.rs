@@ -15,7 +15,7 @@ pub fn bench(large: bool, large_folder: Option<PathBuf>) -> Outcome {
     let python = Python::ready()?;
     let data = root().join("out/bench");
     let mut goals = cargo();
-    goals.args(["bench", "--locked", "--package", "moldline-deform", "--bench", "goals"]);
+    goals.args(["bench", "--locked", "--workspace", "--bench", "goals"]);
     goals.env("MOLDLINE_BENCH_DATA", &data);
     if large {
         goals.env("MOLDLINE_BENCH_LARGE", large_mesh(&python, large_folder)?);

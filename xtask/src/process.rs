@@ -46,14 +46,9 @@ pub fn run(title: &str, command: &mut Command) -> Outcome {
 pub fn build_moldline(release: bool) -> Outcome<PathBuf> {
     eprintln!("\n==> build moldline");
     let mut command = cargo();
-    command.args([
-        "build",
-        "--locked",
-        "--package",
-        "moldline",
-        "--message-format",
-        "json-render-diagnostics",
-    ]);
+    // Of the whole workspace, so that dependencies have the features that tests build them with, and are built once.
+    command.args(["build", "--locked", "--workspace", "--bin", "moldline"]);
+    command.args(["--message-format", "json-render-diagnostics"]);
     if release {
         command.arg("--release");
     }

@@ -1,31 +1,47 @@
-//! Radial basis functions once more: the saddle-point system as it stands in eq. 16 and 17, dense, by LU decomposition.
+//! Radial basis functions once more: the saddle-point system as it stands in eq. 16 and 17, dense, by LU decomposition,
+//! entries and sums with twice the digits of a double.
 
 use faer::{Mat, linalg::solvers::Solve};
 use moldline_deform::{Kernel, Options, field::Field};
 use moldline_mesh::Plane;
 use rayon::prelude::*;
 
-use crate::dual::{LANES, Real, Vector, constant, eps, number};
+use crate::{
+    dual::{LANES, Real, Vector, constant, eps, number},
+    twice::{Twice, halves, rounded_off, sum},
+};
 
-/// Points evaluated by one product.
-const TILE: usize = 256;
 /// Columns: three axes, value and derivatives.
 const COLUMNS: usize = 3 * (1 + LANES);
+/// Refinements of a solution.
+const REFINEMENTS: usize = 3;
 
 /// The factorised system of a field.
 pub struct System {
     kernel: Kernel,
+    /// c^2 of the linear kernel.
     rounding: f64,
+    /// What is added to the diagonal.
+    regularisation: f64,
+    /// A power of two, so that nothing is rounded.
+    scale: f64,
     centres: Vec<Real>,
-    matrix: Mat<f64>,
     factor: faer::linalg::solvers::PartialPivLu<f64>,
 }
 
-/// `rounding`: c^2 of the linear kernel.
-fn psi(kernel: Kernel, rounding: f64, r: f64) -> f64 {
-    match kernel {
-        Kernel::Linear => -(r * r + rounding).sqrt(),
-        Kernel::Cubic => r.powi(3),
+/// A row of the solution: weights of one centre in all columns, or the coefficients of one affine function.
+#[derive(Clone)]
+struct Row {
+    leading: [f64; COLUMNS],
+    upper: [f64; COLUMNS],
+    lower: [f64; COLUMNS],
+    rest: [f64; COLUMNS],
+}
+
+impl Row {
+    fn new(leading: [f64; COLUMNS], rest: [f64; COLUMNS]) -> Self {
+        let halves = leading.map(halves);
+        Self { leading, upper: halves.map(|[upper, _]| upper), lower: halves.map(|[_, lower]| lower), rest }
     }
 }
 
@@ -36,66 +52,124 @@ impl System {
         for &i in field.images() {
             centres.push(Plane::y_zero().mirror(&centres[i as usize].into()).into());
         }
-        // Centres in units of the whole: the entries stay near one. The interpolant does not depend on it.
         let low = centres.iter().fold(Real::repeat(f64::INFINITY), |low, c| low.inf(c));
         let high = centres.iter().fold(Real::repeat(f64::NEG_INFINITY), |high, c| high.sup(c));
-        let scale = (high - low).max();
-        let (kernel, n) = (options.kernel(), centres.len());
-        let rounding = field.rounding();
-        let between = |i: usize, j: usize| psi(kernel, rounding, (centres[i] - centres[j]).norm() / scale);
+        let extent = (high - low).max();
+        // Centres in units of the whole, roughly: the entries stay near one. The interpolant does not depend on it.
+        let scale = 2_f64.powi(-extent.log2().round() as i32);
+        let n = centres.len();
+        let mut system = Self {
+            kernel: options.kernel(),
+            rounding: field.rounding() * (extent * scale).powi(2),
+            regularisation: 0.0,
+            scale,
+            centres: centres.iter().map(|c| c * scale).collect(),
+            factor: Mat::<f64>::identity(0, 0).partial_piv_lu(),
+        };
+        let between = |i: usize, j: usize| system.psi(&system.centres[i], j).leading;
         let pairs = (0..n).flat_map(|i| (0..i).map(move |j| (i, j)));
         let mean = pairs.map(|(i, j)| between(i, j).abs()).sum::<f64>() / (0.5 * (n * (n - 1)) as f64);
-        let scaled: Vec<Real> = centres.iter().map(|c| (c - 0.5 * (low + high)) / scale).collect();
-        let affine = |i: usize, k: usize| if k == 0 { 1.0 } else { scaled[i][k - 1] };
-        let matrix = Mat::from_fn(n + 4, n + 4, |i, j| match (i < n, j < n) {
-            (true, true) if i == j => psi(kernel, rounding, 0.0) + options.regularisation * mean,
-            (true, true) => between(i, j),
-            (true, false) => affine(i, j - n),
-            (false, true) => affine(j, i - n),
-            (false, false) => 0.0,
-        });
-        let factor = matrix.partial_piv_lu();
-        Self { kernel, rounding, centres, matrix, factor }
+        system.regularisation = options.regularisation * mean;
+        let mut matrix = Mat::<f64>::zeros(n + 4, n + 4);
+        for i in 0..n + 4 {
+            system.row(i).iter().enumerate().for_each(|(j, x)| matrix[(i, j)] = x.leading);
+        }
+        system.factor = matrix.partial_piv_lu();
+        system
+    }
+
+    fn psi(&self, x: &Real, centre: usize) -> Twice {
+        let c = &self.centres[centre];
+        let d = [0, 1, 2].map(|axis| sum(x[axis], -c[axis]));
+        let squared = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
+        match self.kernel {
+            Kernel::Linear => Twice::default() - (squared + self.rounding.into()).sqrt(),
+            Kernel::Cubic => squared * squared.sqrt(),
+        }
+    }
+
+    /// What a scaled point multiplies weights and affine coefficients with.
+    fn functions(&self, x: &Real) -> Vec<Twice> {
+        let radial = (0..self.centres.len()).map(|j| self.psi(x, j));
+        radial.chain([1.0, x.x, x.y, x.z].map(Twice::from)).collect()
+    }
+
+    /// A row of the saddle-point matrix.
+    fn row(&self, i: usize) -> Vec<Twice> {
+        let n = self.centres.len();
+        match i.checked_sub(n) {
+            None => {
+                let mut row = self.functions(&self.centres[i]);
+                row[i] = row[i] + self.regularisation.into();
+                row
+            }
+            Some(k) => {
+                let affine = |c: &Real| if k == 0 { 1.0 } else { c[k - 1] };
+                let zeros = std::iter::repeat_n(0.0, 4);
+                self.centres.iter().map(affine).chain(zeros).map(Twice::from).collect()
+            }
+        }
     }
 
     /// The interpolant of `data`, one datum for each training vertex and image, at `points`.
     pub fn interpolate(&self, data: &[Vector], points: &[Real]) -> Vec<Vector> {
-        let n = self.centres.len();
-        let right = Mat::from_fn(n + 4, COLUMNS, |i, column| {
+        let solution = self.solve(&Mat::from_fn(self.centres.len() + 4, COLUMNS, |i, column| {
             let (axis, part) = (column % 3, column / 3);
             match (data.get(i), part) {
                 (None, _) => 0.0,
                 (Some(datum), 0) => datum[axis].re,
                 (Some(datum), _) => eps(&datum[axis], part - 1),
             }
-        });
-        let mut weights = self.factor.solve(&right);
-        // One refinement: the residual of a system with close centres is rounded twice otherwise.
-        let residual = &right - &self.matrix * &weights;
-        weights += self.factor.solve(&residual);
-
-        let low = self.centres.iter().fold(Real::repeat(f64::INFINITY), |low, c| low.inf(c));
-        let high = self.centres.iter().fold(Real::repeat(f64::NEG_INFINITY), |high, c| high.sup(c));
-        let (scale, middle) = ((high - low).max(), 0.5 * (low + high));
+        }));
         points
-            .par_chunks(TILE)
-            .flat_map_iter(|points| {
-                let rows = Mat::from_fn(points.len(), n + 4, |i, j| match j.checked_sub(n) {
-                    None => psi(self.kernel, self.rounding, (points[i] - self.centres[j]).norm() / scale),
-                    Some(0) => 1.0,
-                    Some(k) => (points[i][k - 1] - middle[k - 1]) / scale,
-                });
-                let values = &rows * &weights;
-                (0..points.len())
-                    .map(|i| {
-                        Vector::from_fn(|axis, _| {
-                            number(values[(i, axis)], |k| values[(i, 3 * (k + 1) + axis)])
-                        })
-                    })
-                    .collect::<Vec<_>>()
+            .par_iter()
+            .map(|x| {
+                let values = product(&self.functions(&(x * self.scale)), &solution);
+                Vector::from_fn(|axis, _| {
+                    number(values[axis].leading, |k| values[3 * (k + 1) + axis].leading)
+                })
             })
             .collect()
     }
+
+    fn solve(&self, right: &Mat<f64>) -> Vec<Row> {
+        let numbers = |matrix: &Mat<f64>, i: usize| std::array::from_fn(|column| matrix[(i, column)]);
+        let start = self.factor.solve(right);
+        let mut solution: Vec<Row> =
+            (0..right.nrows()).map(|i| Row::new(numbers(&start, i), [0.0; COLUMNS])).collect();
+        for _ in 0..REFINEMENTS {
+            let made: Vec<[Twice; COLUMNS]> =
+                (0..right.nrows()).into_par_iter().map(|i| product(&self.row(i), &solution)).collect();
+            let residual = Mat::from_fn(right.nrows(), COLUMNS, |i, column| {
+                (Twice::from(right[(i, column)]) - made[i][column]).leading
+            });
+            let correction = self.factor.solve(&residual);
+            for (i, row) in solution.iter_mut().enumerate() {
+                let better: [Twice; COLUMNS] = std::array::from_fn(|column| {
+                    sum(row.leading[column], row.rest[column]) + correction[(i, column)].into()
+                });
+                *row = Row::new(better.map(|x| x.leading), better.map(|x| x.rest));
+            }
+        }
+        solution
+    }
+}
+
+/// A row of a matrix times a solution.
+fn product(row: &[Twice], solution: &[Row]) -> [Twice; COLUMNS] {
+    let (mut leading, mut rest) = ([0.0; COLUMNS], [0.0; COLUMNS]);
+    for (entry, of) in row.iter().zip(solution) {
+        let a = entry.leading;
+        let split = halves(a);
+        for column in 0..COLUMNS {
+            let term = a * of.leading[column];
+            let off = rounded_off(term, split, [of.upper[column], of.lower[column]]);
+            let next = sum(leading[column], term);
+            leading[column] = next.leading;
+            rest[column] += next.rest + (off + (a * of.rest[column] + entry.rest * of.leading[column]));
+        }
+    }
+    std::array::from_fn(|column| sum(leading[column], rest[column]))
 }
 
 /// The data of a field: combinations of what the seams do and what the component does.

@@ -4,7 +4,7 @@
 //! [`Chain`] evaluates what [`moldline_deform::Setup::deform`] evaluates in dual numbers. Of the engine it takes what is
 //! discrete (patches, features, sides, training sets, charts) and the converged values to start from. What is continuous it
 //! evaluates anew: splines from the recurrence, implicit steps by Newton's method in dual arithmetic, radial basis
-//! functions by LU decomposition of the saddle-point matrix.
+//! functions by LU decomposition of the saddle-point matrix with twice the digits.
 //!
 //! Absent on purpose: files, and anything that only a check would need in the engine.
 
@@ -19,6 +19,7 @@ mod field;
 mod random;
 mod seam;
 mod spline;
+mod twice;
 
 pub use chain::{Chain, Evaluation, Stages};
 pub use check::{

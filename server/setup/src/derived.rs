@@ -14,7 +14,7 @@ const MAGIC: &[u8; 8] = b"MOLDDER1";
 /// Writes what was derived.
 pub fn encode_derived(derived: &Derived) -> Vec<u8> {
     let Derived { ownership, fields } = derived;
-    let numbers: usize = fields.iter().map(|factors| factors.top.len() + factors.lower.len() + 3).sum();
+    let numbers: usize = fields.iter().map(|factors| factors.top.len() + factors.lower.len() + 4).sum();
     let mut out = Writer(Vec::with_capacity(8 * numbers + 64 * ownership.attachments.len() + 1024));
     out.0.extend_from_slice(MAGIC);
     out.integers(&ownership.offsets);
@@ -30,8 +30,9 @@ pub fn encode_derived(derived: &Derived) -> Vec<u8> {
         [location.u, location.v, *distance].iter().for_each(|value| out.number(*value));
     }
     out.count(fields.len());
-    for Factors { rounding, top, lower } in fields {
+    for Factors { rounding, regularisation, top, lower } in fields {
         out.number(*rounding);
+        out.number(*regularisation);
         out.numbers(top);
         out.numbers(lower);
     }
@@ -57,9 +58,11 @@ pub fn decode_derived(bytes: &[u8]) -> Option<Derived> {
         Some(Attachment { component, location: Location { patch, u, v }, freedom, distance })
     });
     let attachments = attachments.collect::<Option<_>>()?;
-    const FIELD: usize = 3 * 8;
-    let fields = (0..rest.count(FIELD)?)
-        .map(|_| Some(Factors { rounding: rest.number()?, top: rest.numbers()?, lower: rest.numbers()? }));
+    const FIELD: usize = 4 * 8;
+    let fields = (0..rest.count(FIELD)?).map(|_| {
+        let (rounding, regularisation) = (rest.number()?, rest.number()?);
+        Some(Factors { rounding, regularisation, top: rest.numbers()?, lower: rest.numbers()? })
+    });
     let fields = fields.collect::<Option<_>>()?;
     let ownership = OwnershipParts { offsets, attachments, cell_owner };
     rest.0.is_empty().then_some(Derived { ownership, fields })
@@ -142,7 +145,12 @@ mod tests {
                 cell_owner: vec![1, 1, 0],
             },
             fields: vec![
-                Factors { rounding: 0.5, top: vec![1.0, 2.0], lower: vec![3.0, -4.0, 5.0] },
+                Factors {
+                    rounding: 0.5,
+                    regularisation: 0.25,
+                    top: vec![1.0, 2.0],
+                    lower: vec![3.0, -4.0, 5.0],
+                },
                 Factors::default(),
             ],
         }

@@ -86,7 +86,8 @@ mod tests {
     #[test]
     fn errors_of_the_system_are_told_apart_however_deep_they_lie() {
         let of = |kind: io::ErrorKind| {
-            let inner = object_store::Error::Generic { store: "test", source: Box::new(io::Error::from(kind)) };
+            let inner =
+                object_store::Error::Generic { store: "test", source: Box::new(io::Error::from(kind)) };
             let error = object_store::Error::Generic { store: "test", source: Box::new(inner) };
             StoreError::of("blob/x", &error)
         };
