@@ -1,15 +1,14 @@
 //! A set-up restored from what was derived of it is the same, bit for bit, without looking for it again.
 #![allow(clippy::unwrap_used, reason = "helpers of tests are tests")]
 
-mod common;
-
 use std::{
+    path::Path,
     sync::Mutex,
     time::{Duration, Instant},
 };
 
 use moldline_deform::{Derived, Monitor, Setup, Silent, Stage};
-use moldline_setup::{decode_derived, encode_derived};
+use moldline_setup::{Limits, decode_derived, encode_derived, read_folder, read_setup};
 
 /// When each stage was heard of first.
 struct Watch(Mutex<Vec<(Stage, Instant)>>);
@@ -33,7 +32,9 @@ fn timed(make: impl FnOnce(&Watch) -> Setup) -> (Setup, Vec<(Stage, Duration)>, 
 #[test]
 fn a_restored_set_up_has_the_same_bits() {
     let start = Instant::now();
-    let input = common::e175_input();
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples/e175");
+    let (files, setup_file) = read_folder(&folder, &Limits::default()).unwrap();
+    let input = read_setup(&files, Some(&setup_file), &Limits::default()).unwrap().input;
     println!("read in {:?}", start.elapsed());
     let (built, stages, took) = timed(|watch| Setup::build(input.clone(), watch).unwrap());
     println!("built in {took:?}: {stages:?}");
