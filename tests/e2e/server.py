@@ -16,7 +16,8 @@ class Server:
     """A running `moldline serve` on a free port of the loopback interface; its store ends with it if none is named."""
 
     def __init__(self, binary: Path, *options: str, store: Path | str = "memory") -> None:
-        command = [str(binary), "serve", "--listen", "127.0.0.1:0", "--store", str(store), *options]
+        listen = [] if "--listen" in options else ["--listen", "127.0.0.1:0"]
+        command = [str(binary), "serve", *listen, "--store", str(store), *options]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         self.log: list[str] = []
         self._reader = threading.Thread(target=self._read_log, daemon=True)

@@ -1,14 +1,10 @@
 //! The transport, with a real client over loopback.
 
-use std::{net::SocketAddr, sync::Arc};
-
 use moldline_proto::v1::{
     self, create_setup_request::Part, create_setup_response::Event, deform_request::Input,
     mesh_service_client::MeshServiceClient,
 };
-use moldline_service::{Limits, PoolLimits, Service};
-use tokio::net::TcpListener;
-use tokio_stream::{StreamExt, wrappers::TcpListenerStream};
+use tokio_stream::StreamExt;
 use tonic::{Code, Status, transport::Channel};
 use tonic_health::pb::{
     HealthCheckRequest, health_check_response::ServingStatus, health_client::HealthClient,
@@ -17,19 +13,11 @@ use tonic_reflection::pb::{v1 as reflection, v1alpha as reflection_alpha};
 use tonic_types::StatusExt;
 
 use super::*;
-
-#[path = "../../../service/tests/ball/mod.rs"]
-mod ball;
+use crate::testing::{Server, ball};
 
 async fn serve() -> (Channel, Health) {
-    let pool = PoolLimits { threads: 2, running: 2, queued: 8 };
-    let service = Arc::new(Service::new(pool, Limits::default()).unwrap());
-    let (router, health) = router(service, 64 << 20).await.unwrap();
-    let listener = TcpListener::bind(SocketAddr::from(([127, 0, 0, 1], 0))).await.unwrap();
-    let address = listener.local_addr().unwrap();
-    tokio::spawn(router.serve_with_incoming(TcpListenerStream::new(listener)));
-    let channel = Channel::from_shared(format!("http://{address}")).unwrap().connect().await.unwrap();
-    (channel, health)
+    let server = Server::start().await;
+    (server.channel().await, server.health)
 }
 
 fn header(file: &str) -> Part {
@@ -39,7 +27,7 @@ fn header(file: &str) -> Part {
 }
 
 fn chunk(data: &[u8]) -> Part {
-    Part::Chunk(v1::SetupChunk { file: 0, data: data.to_vec() })
+    Part::Chunk(v1::SetupChunk { file: 0, data: data.to_vec().into() })
 }
 
 async fn create(client: &mut MeshServiceClient<Channel>, parts: Vec<Part>) -> Result<Vec<Event>, Status> {

@@ -11,13 +11,18 @@ use moldline_service::{
     SetupSummary, Status, StoredSetup, Tenant, TenantError, Timing, UploadHeader, UploadSource, Values,
     Visibility,
 };
-use v1::{DataType, create_setup_request::Part, create_setup_response::Event, deform_request, design_point};
+use v1::{DataType, create_setup_request::Part, deform_request, design_point};
 
 /// The first message of an upload.
 pub fn header(part: v1::CreateSetupRequest) -> Result<UploadHeader, ServiceError> {
-    let Some(Part::Header(header)) = part.part else {
-        return Err(ServiceError::invalid("header", "has to be the first message"));
-    };
+    match part.part {
+        Some(Part::Header(header)) => upload(header),
+        _ => Err(ServiceError::invalid("header", "has to be the first message")),
+    }
+}
+
+/// What an upload announces.
+pub fn upload(header: v1::SetupHeader) -> Result<UploadHeader, ServiceError> {
     let v1::SetupHeader { request_id, setup_file, source, visibility, shared_with } = header;
     let visibility = self::visibility("header.", visibility, shared_with)?;
     let source = match source {
@@ -79,15 +84,13 @@ pub fn chunk(part: v1::CreateSetupRequest) -> Result<v1::SetupChunk, ServiceErro
     }
 }
 
-pub fn progress(Progress { stage, fraction, message }: Progress) -> v1::CreateSetupResponse {
-    let progress = v1::Progress { stage: stage.to_owned(), fraction, message };
-    v1::CreateSetupResponse { event: Some(Event::Progress(progress)) }
+pub fn progress(Progress { stage, fraction, message }: Progress) -> v1::Progress {
+    v1::Progress { stage: stage.to_owned(), fraction, message }
 }
 
-pub fn created(Created { setup, access, built }: &Created) -> v1::CreateSetupResponse {
+pub fn created(Created { setup, access, built }: &Created) -> v1::CreatedSetup {
     let setup_id = setup.id.to_string();
-    let created = v1::CreatedSetup { setup_id, built: *built, setup: Some(description(setup, access)) };
-    v1::CreateSetupResponse { event: Some(Event::Created(created)) }
+    v1::CreatedSetup { setup_id, built: *built, setup: Some(description(setup, access)) }
 }
 
 pub fn description(setup: &StoredSetup, access: &Access) -> v1::SetupDescription {
@@ -296,7 +299,8 @@ fn design_point(
         if columns != 3 {
             return Err(ServiceError::invalid(format!("{field}.shape[1]"), format!("{columns} is not 3")));
         }
-        Ok((component, float64(&field, &array)?.as_chunks::<3>().0.to_vec()))
+        check_float64(&field, &array)?;
+        Ok((component, of_points(&array.data)))
     });
     Ok(Design { values, control_points: control_points.collect::<Result<_, ServiceError>>()? })
 }
@@ -437,7 +441,11 @@ fn points(points: &[[f64; 3]]) -> v1::Array {
 fn numbers<'a>(shape: &[usize], parts: impl IntoIterator<Item = &'a [f64]>) -> v1::Array {
     let mut data = Vec::with_capacity(size_of::<f64>() * shape.iter().product::<usize>());
     for part in parts {
-        part.iter().for_each(|value| data.extend_from_slice(&value.to_le_bytes()));
+        if cfg!(target_endian = "little") {
+            data.extend_from_slice(bytemuck::cast_slice(part));
+        } else {
+            part.iter().for_each(|value| data.extend_from_slice(&value.to_le_bytes()));
+        }
     }
     array(DataType::Float64, shape, data)
 }
@@ -464,20 +472,49 @@ fn shape<const N: usize>(field: &str, array: &v1::Array) -> Result<[u64; N], Ser
     Ok(shape)
 }
 
-fn float64(field: &str, array: &v1::Array) -> Result<Vec<f64>, ServiceError> {
+/// # Errors
+/// `InvalidArgument` for elements of another type.
+fn check_float64(field: &str, array: &v1::Array) -> Result<(), ServiceError> {
     if array.dtype() != DataType::Float64 {
         return Err(ServiceError::invalid(
             format!("{field}.dtype"),
             format!("{} is not DATA_TYPE_FLOAT64", array.dtype().as_str_name()),
         ));
     }
-    Ok(array.data.as_chunks::<8>().0.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect())
+    Ok(())
+}
+
+/// Little-endian numbers of any alignment, one by one or in points.
+fn elements<T: bytemuck::Pod>(bytes: &[u8], swap: impl Fn(&mut T)) -> Vec<T> {
+    let mut elements = vec![T::zeroed(); bytes.len() / size_of::<T>()];
+    let filled = size_of_val(&elements[..]);
+    bytemuck::cast_slice_mut(&mut elements).copy_from_slice(&bytes[..filled]);
+    if cfg!(target_endian = "big") {
+        elements.iter_mut().for_each(swap);
+    }
+    elements
+}
+
+fn of_numbers(bytes: &[u8]) -> Vec<f64> {
+    elements(bytes, |number: &mut f64| *number = f64::from_bits(number.to_bits().swap_bytes()))
+}
+
+fn of_points(bytes: &[u8]) -> Vec<[f64; 3]> {
+    elements(bytes, |point: &mut [f64; 3]| {
+        point.iter_mut().for_each(|number| *number = f64::from_bits(number.to_bits().swap_bytes()));
+    })
+}
+
+fn float64(field: &str, array: &v1::Array) -> Result<Vec<f64>, ServiceError> {
+    check_float64(field, array)?;
+    Ok(of_numbers(&array.data))
 }
 
 /// Vectors of numbers: (k, length).
 fn vectors(field: &str, array: &v1::Array) -> Result<Vec<Vec<f64>>, ServiceError> {
     let [_, length] = filled(field, array)?;
-    Ok(float64(field, array)?.chunks_exact(length).map(<[f64]>::to_vec).collect())
+    check_float64(field, array)?;
+    Ok(array.data.chunks_exact(size_of::<f64>() * length).map(of_numbers).collect())
 }
 
 /// Vectors of points: (k, length, 3).
@@ -486,8 +523,8 @@ fn point_vectors(field: &str, array: &v1::Array) -> Result<Vec<Vec<[f64; 3]>>, S
     if columns != 3 {
         return Err(ServiceError::invalid(format!("{field}.shape[2]"), format!("{columns} is not 3")));
     }
-    let values = float64(field, array)?;
-    Ok(values.as_chunks::<3>().0.chunks_exact(length).map(<[[f64; 3]]>::to_vec).collect())
+    check_float64(field, array)?;
+    Ok(array.data.chunks_exact(size_of::<[f64; 3]>() * length).map(of_points).collect())
 }
 
 /// The extents, none of which is zero.
