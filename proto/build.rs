@@ -27,7 +27,17 @@ fn json(mut builder: Builder, descriptors: &FileDescriptorSet) -> Builder {
     const DERIVE: &str = "#[derive(serde::Serialize, utoipa::ToSchema)]";
     const WORDS: &str = "#[serde(rename_all = \"snake_case\")]";
     // These may be infinite, which JSON writes as null.
-    const INFINITE: [&str; 3] = ["Variable", "QualitySummary", "Distribution"];
+    const INFINITE: [&str; 9] = [
+        "Variable",
+        "QualitySummary",
+        "Distribution",
+        "CheckReport",
+        "CheckedDesign",
+        "CheckedVariable",
+        "DotProductError",
+        "StepError",
+        "DifferenceError",
+    ];
     for file in descriptors.file.iter().filter(|file| file.package() == "moldline.v1") {
         for named in &file.enum_type {
             let path = format!(".moldline.v1.{}", named.name());

@@ -17,6 +17,7 @@ mod dual;
 mod engine;
 mod field;
 mod random;
+mod report;
 mod seam;
 mod spline;
 mod twice;
@@ -27,6 +28,7 @@ pub use check::{
     Watch, check_design, designs, largest, range,
 };
 pub use differences::{Derivative, central_difference, norm, relative_error};
+pub use report::{Designs, Maximum, Observer, Report, Request};
 
 /// Why a check cannot be carried out.
 #[derive(Debug, thiserror::Error)]
@@ -34,6 +36,14 @@ pub enum CheckError {
     /// The engine refuses the design, or does not find the mesh.
     #[error(transparent)]
     Deform(#[from] moldline_deform::DeformError),
+    /// There is no such variable.
+    #[error("{error}")]
+    Variable {
+        /// Which of the names.
+        index: usize,
+        /// What is wrong with it.
+        error: moldline_parameterisation::DesignError,
+    },
     /// A seam point is not where its line goes.
     #[error(
         "the seam point of vertex {vertex} is {distance:.1e} m away from the line that it is searched along"

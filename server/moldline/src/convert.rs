@@ -1,5 +1,7 @@
 //! Wire messages to the service's types and back.
 
+pub mod check;
+
 use std::time::SystemTime;
 
 use moldline_deform::Tangent;
@@ -279,7 +281,7 @@ pub fn design(
 }
 
 /// A design whose fields have `prefix` before them.
-fn design_point(
+pub fn design_point(
     prefix: &str,
     v1::DesignPoint { input, control_points }: v1::DesignPoint,
 ) -> Result<Design, ServiceError> {
@@ -389,7 +391,7 @@ fn tangents(tangents: &[Tangent]) -> (Option<v1::Array>, Option<v1::Array>) {
     )
 }
 
-fn timings(Timing { queued, engine }: Timing) -> v1::Timings {
+pub fn timings(Timing { queued, engine }: Timing) -> v1::Timings {
     v1::Timings { queue_seconds: queued.as_secs_f64(), engine_seconds: engine.as_secs_f64() }
 }
 
@@ -438,7 +440,7 @@ fn points(points: &[[f64; 3]]) -> v1::Array {
 }
 
 /// An array whose elements are those of `parts`, one after the other.
-fn numbers<'a>(shape: &[usize], parts: impl IntoIterator<Item = &'a [f64]>) -> v1::Array {
+pub fn numbers<'a>(shape: &[usize], parts: impl IntoIterator<Item = &'a [f64]>) -> v1::Array {
     let mut data = Vec::with_capacity(size_of::<f64>() * shape.iter().product::<usize>());
     for part in parts {
         if cfg!(target_endian = "little") {

@@ -242,6 +242,36 @@ impl Meshes {
         Ok(())
     }
 
+    /// Checks derivatives apart from the request, and tells about it; the report or an error is the last.
+    pub fn check(
+        &self,
+        caller: Principal,
+        deadline: Deadline,
+        request: v1::CheckRequest,
+    ) -> mpsc::UnboundedReceiver<Answer<v1::CheckResponse>> {
+        // Events are few, so the channel need not be bounded.
+        let (sender, events) = mpsc::unbounded_channel();
+        let service = Arc::clone(&self.service);
+        let work = async move {
+            let check = async {
+                let (setup_id, asked) = convert::check::request(request)?;
+                on_setup(&setup_id);
+                let tell = |progress| {
+                    let _ = sender.send(Ok(convert::check::progress(progress)));
+                };
+                service.check(&caller, &setup_id, asked, tell).await
+            };
+            let outcome = tokio::select! {
+                outcome = deadline.limit(check, |error| error) => outcome,
+                // The client has gone, and with this future the interest in the check.
+                () = sender.closed() => return,
+            };
+            let _ = sender.send(outcome.map(|report| convert::check::report(&report)));
+        };
+        tokio::spawn(work.instrument(Span::current()));
+        events
+    }
+
     pub async fn get_status(
         &self,
         caller: &Principal,

@@ -24,6 +24,7 @@
 mod access;
 mod cache;
 mod cancel;
+mod checks;
 mod error;
 mod flight;
 mod limits;
@@ -39,11 +40,13 @@ mod setups;
 mod status;
 mod upload;
 
+pub use moldline_check::Report as CheckReport;
 pub use moldline_setup::ArchiveKind;
 pub use moldline_store::{Store, StoreError};
 
 pub use access::{Access, Listed, Page, Session, SessionUpdate, SetupSummary, Visibility};
 pub use cancel::Cancellation;
+pub use checks::{CheckAt, CheckRequest};
 pub use error::{Code, ServiceError, Violation};
 pub use limits::Limits;
 pub use linearisation::{

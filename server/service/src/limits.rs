@@ -39,6 +39,10 @@ pub struct Limits {
     pub vectors: usize,
     /// Bytes of the vertices' part of one request's directions or seeds, or of what the engine makes at once.
     pub vector_bytes: usize,
+    /// Checks of derivatives at a time; each is minutes of work.
+    pub checks: usize,
+    /// Designs of one check.
+    pub check_designs: usize,
 }
 
 impl Default for Limits {
@@ -67,6 +71,8 @@ impl Default for Limits {
             linearisation_bytes: 2 << 30,
             vectors: 64,
             vector_bytes: 128 << 20,
+            checks: 1,
+            check_designs: 16,
         }
     }
 }

@@ -106,6 +106,11 @@ impl Resolved {
         Ok(Self { vector, overrides: overrides.collect::<Result<_, ServiceError>>()? })
     }
 
+    /// The values alone.
+    pub fn into_vector(self) -> Vec<f64> {
+        self.vector
+    }
+
     /// As it is stored: the variables, and the coordinates of control points that were given.
     pub fn numbers(&self, parameterisation: &Parameterisation) -> (Numbers, Vec<(String, Numbers)>) {
         let given = self.overrides.iter().map(|Override { component, control_points }| {

@@ -1,6 +1,7 @@
 //! Errors of the engine and of set-up files as the service's: class, field, and their own words, which name index, value
 //! and limit.
 
+use moldline_check::CheckError;
 use moldline_deform::{DeformError, SetupError};
 use moldline_mesh::{MeshError, io::ReadError};
 use moldline_parameterisation::{DesignError, ParameterisationError};
@@ -138,6 +139,20 @@ impl From<DeformError> for ServiceError {
             | DeformError::FootPoint { .. } => Self::new(Code::FailedPrecondition, "").at("design", text),
             DeformError::NoDesign => Self::invalid("design", text),
             DeformError::SeedSize { index, what, .. } => Self::invalid(format!("{what}[{index}]"), text),
+        }
+    }
+}
+
+impl From<CheckError> for ServiceError {
+    fn from(error: CheckError) -> Self {
+        match error {
+            CheckError::Deform(error) => error.into(),
+            CheckError::Variable { index, error } => {
+                Self::invalid(format!("variables[{index}]"), error.to_string())
+            }
+            CheckError::Line { .. } | CheckError::Vertex { .. } | CheckError::NoDesign { .. } => {
+                Self::new(Code::FailedPrecondition, "").at("designs", error.to_string())
+            }
         }
     }
 }

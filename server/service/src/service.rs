@@ -9,6 +9,7 @@ use futures::{
     Stream, StreamExt, TryStreamExt, future,
     stream::{self, Iter},
 };
+use moldline_check::Report;
 use moldline_deform::Tangent;
 use moldline_store::{AccessRecord, Claim, Generation, SessionRecord, Shared, Store, StoreError};
 use tokio::sync::Semaphore;
@@ -16,8 +17,9 @@ use tokio::sync::Semaphore;
 use crate::{
     access::{Access, Listed, Page, Session, SessionUpdate, SetupSummary, Visibility},
     cache::Cache,
+    checks::{CheckRequest, Watcher},
     error::{Code, ServiceError, shorten},
-    flight::{Flights, Joined},
+    flight::{Flights, Joined, Reports},
     limits::Limits,
     linearisation::{Design, Directions, Gradients, Linearised, Resolved, Seeds, Wanted},
     pool::{Completed, ComputePool, PoolLimits, Task, Ticket},
@@ -47,6 +49,10 @@ pub struct Service {
     held: Arc<Cache<(Tenant, String), Linearised>>,
     /// Those that are being made for products.
     linearisations: Flights<(Tenant, String), Linearised>,
+    /// One permit for each check that may run.
+    checking: Arc<Semaphore>,
+    /// Checks under way, by set-up and what is asked.
+    checks: Flights<(SetupId, String), Product<Report>>,
 }
 
 /// An upload under way; its place is free when this is dropped.
@@ -162,6 +168,8 @@ impl Service {
             sessions: Sessions::new(store.clone()),
             held: Arc::new(Cache::new(limits.linearisation_bytes, |_| false)),
             linearisations: Flights::default(),
+            checking: Arc::new(Semaphore::new(limits.checks)),
+            checks: Flights::default(),
             pool,
             store,
             limits,
@@ -185,13 +193,7 @@ impl Service {
     /// `PermissionDenied` to readers.
     pub fn receive(&self, caller: &Principal, header: UploadHeader) -> Result<Receiving<'_>, ServiceError> {
         caller.need(Role::User)?;
-        let place = self.uploads.try_acquire().map_err(|_| {
-            ServiceError::new(
-                Code::ResourceExhausted,
-                format!("{} uploads are under way, which is the limit; try again later", self.limits.uploads),
-            )
-            .retry_after(Duration::from_secs(1))
-        })?;
+        let place = self.uploads.try_acquire().map_err(|_| too_many("uploads", self.limits.uploads))?;
         let upload = Upload::begin(header, &self.limits)?;
         Ok(Receiving { upload, limits: &self.limits, _place: place })
     }
@@ -818,6 +820,47 @@ impl Service {
         let Completed { value, queued, ran } = self.pool.run(task, move |_| work(&at)).await?;
         Ok(Product { value, timing: timing + Timing { queued, engine: ran } })
     }
+
+    /// Checks the derivatives of a set-up. Who asks for the same as somebody else at the same time gets the same check.
+    /// Dropping the future gives up on it; the check ends when nobody waits for it.
+    ///
+    /// # Errors
+    /// `NotFound`, `InvalidArgument` naming what does not fit, `FailedPrecondition` if the engine cannot reach a design,
+    /// `ResourceExhausted` if other checks are under way or the queue is full.
+    pub async fn check(
+        &self,
+        caller: &Principal,
+        setup_id: &str,
+        request: CheckRequest,
+        tell: impl FnMut(Progress),
+    ) -> Result<Arc<Product<Report>>, ServiceError> {
+        caller.need(Role::User)?;
+        let SetupView { setup, .. } = self.get_setup(caller, setup_id).await?;
+        let request = request.resolve(setup.engine.parameterisation(), &self.limits)?;
+        let key = (setup.id.clone(), format!("{request:?}"));
+        let id = Some(setup.id.to_string());
+        let task = Task { kind: "check", tenant: caller.tenant.clone(), setup: id, session: None };
+        let work = |reports: Reports<Product<Report>>| {
+            let place = Arc::clone(&self.checking).try_acquire_owned();
+            let (pool, limit) = (Arc::clone(&self.pool), self.limits.checks);
+            async move {
+                let _place = place.map_err(|_| too_many("checks", limit))?;
+                let work = move |ticket: &Ticket| {
+                    let watcher = Watcher::new(ticket.cancellation().clone(), |progress| {
+                        ticket.progress(&progress);
+                        reports.tell(progress);
+                    });
+                    Ok(Report::new(&setup.engine, &request, &watcher)?)
+                };
+                let Completed { value, queued, ran } = pool.run(task, work).await?;
+                Ok(Product { value, timing: Timing { queued, engine: ran } })
+            }
+        };
+        match self.checks.join(key, || None, work, |_| {}) {
+            Joined::Found(report) => Ok(report),
+            Joined::Following(follower) | Joined::Started(follower) => follower.land(tell).await,
+        }
+    }
 }
 
 impl Receiving<'_> {
@@ -901,6 +944,11 @@ fn access_record(setup: &StoredSetup, bytes: u64, shared: Shared) -> AccessRecor
         bytes,
         created: SystemTime::now(),
     }
+}
+
+fn too_many(what: &str, limit: usize) -> ServiceError {
+    let message = format!("the limit of {limit} {what} at a time is reached; try again later");
+    ServiceError::new(Code::ResourceExhausted, message).retry_after(Duration::from_secs(1))
 }
 
 fn not_kept(id: &str) -> ServiceError {

@@ -58,6 +58,7 @@ fn open<T>(mut request: Request<T>) -> Result<(Principal, Deadline, T), Status> 
     Ok((caller, deadline, request.into_inner()))
 }
 
+type Checks = Pin<Box<dyn Stream<Item = Result<v1::CheckResponse, Status>> + Send>>;
 type Columns = Pin<Box<dyn Stream<Item = Result<v1::JacobianResponse, Status>> + Send>>;
 type Events = Pin<Box<dyn Stream<Item = Result<v1::CreateSetupResponse, Status>> + Send>>;
 
@@ -194,6 +195,14 @@ impl MeshService for Grpc {
     ) -> Result<Response<v1::GetStatusResponse>, Status> {
         let (caller, _, request) = open(request)?;
         answer(self.meshes.get_status(&caller, request).await)
+    }
+
+    type CheckStream = Checks;
+
+    async fn check(&self, request: Request<v1::CheckRequest>) -> Result<Response<Checks>, Status> {
+        let (caller, deadline, request) = open(request)?;
+        let events = UnboundedReceiverStream::new(self.meshes.check(caller, deadline, request));
+        Ok(Response::new(Box::pin(events.map(|event| event.map_err(status)))))
     }
 }
 

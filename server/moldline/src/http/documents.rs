@@ -2,7 +2,8 @@
 
 use std::{collections::BTreeMap, fmt};
 
-use moldline_proto::v1::{self, deform_request, design_point};
+use moldline_proto::v1::{self, check_request, deform_request, design_point};
+use moldline_service::ServiceError;
 use moldline_transport::media::Numbers;
 use serde::{Deserialize, de};
 use utoipa::ToSchema;
@@ -170,6 +171,29 @@ pub struct Jacobian {
     at: At,
 }
 
+/// What to check. At the baseline if neither a number of designs nor a design is given.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(as = CheckRequest)]
+pub struct Check {
+    /// The baseline and random designs far from it, so many in all.
+    #[schema(nullable = false)]
+    designs: Option<u32>,
+    /// This design: every variable in order, or some by name.
+    #[schema(value_type = Option<DesignValues>, nullable = false)]
+    design: Option<Values>,
+    /// Of the random designs and vectors.
+    #[serde(default = "first_seed")]
+    seed: u64,
+    /// Variables to compare with dual numbers and differences, by name or by the name of an array of them; all if empty.
+    #[serde(default)]
+    variables: Vec<String>,
+}
+
+fn first_seed() -> u64 {
+    1
+}
+
 /// A session to open.
 #[derive(Debug, Default, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
@@ -247,13 +271,34 @@ fn vectors(given: Vec<ControlPointVectors>) -> Vec<v1::ControlPointVectors> {
 
 impl From<DesignPoint> for v1::DesignPoint {
     fn from(DesignPoint { design, control_points }: DesignPoint) -> Self {
-        let input = design.map(|values| match values {
-            Values::Vector(vector) => design_point::Input::Design(vector.0),
-            Values::Named(values) => {
-                design_point::Input::Named(v1::NamedDesign { values: values.into_iter().collect() })
+        Self { input: design.map(Into::into), control_points: self::control_points(control_points) }
+    }
+}
+
+impl From<Values> for design_point::Input {
+    fn from(values: Values) -> Self {
+        match values {
+            Values::Vector(vector) => Self::Design(vector.0),
+            Values::Named(values) => Self::Named(v1::NamedDesign { values: values.into_iter().collect() }),
+        }
+    }
+}
+
+impl Check {
+    /// # Errors
+    /// `InvalidArgument` for a number of designs beside a design.
+    pub fn message(self, setup_id: String) -> Result<v1::CheckRequest, ServiceError> {
+        let Self { designs, design, seed, variables } = self;
+        let at = match (designs, design.map(design_point::Input::from)) {
+            (Some(_), Some(_)) => {
+                return Err(ServiceError::invalid("designs", "is given beside `design`; give one of them"));
             }
-        });
-        Self { input, control_points: self::control_points(control_points) }
+            (Some(count), None) => Some(check_request::At::Designs(count)),
+            (None, Some(design_point::Input::Design(vector))) => Some(check_request::At::Design(vector)),
+            (None, Some(design_point::Input::Named(named))) => Some(check_request::At::Named(named)),
+            (None, None) => None,
+        };
+        Ok(v1::CheckRequest { setup_id, at, seed, variables })
     }
 }
 

@@ -2,6 +2,7 @@
 //! `replies`.
 
 mod arrays;
+mod check;
 mod documents;
 mod jacobian;
 mod operations;
@@ -49,6 +50,7 @@ pub fn routes(meshes: Meshes, max_body: usize) -> OpenApiRouter {
         .routes(routes!(setups::create_setup, setups::list_setups))
         .routes(routes!(setups::get_setup, setups::delete_setup))
         .routes(routes!(setups::share_setup))
+        .routes(routes!(check::check))
         .routes(routes!(operations::get_operation, operations::cancel_operation))
         .routes(routes!(sessions::open_session))
         .routes(routes!(sessions::list_sessions))

@@ -19,7 +19,7 @@ use tokio::{
     sync::mpsc,
     time::{Duration, sleep},
 };
-use tokio_stream::{StreamExt, wrappers::UnboundedReceiverStream};
+use tokio_stream::{Stream, StreamExt, wrappers::UnboundedReceiverStream};
 use tracing::{Instrument, Span};
 
 use super::{
@@ -189,7 +189,12 @@ fn events(
         });
     };
     tokio::spawn(work.instrument(Span::current()));
-    let frames = UnboundedReceiverStream::new(events).map(Ok::<_, std::convert::Infallible>);
+    stream(UnboundedReceiverStream::new(events))
+}
+
+/// A response of server-sent events as they come.
+pub fn stream<T: Into<Bytes>>(events: impl Stream<Item = T> + Send + 'static) -> Response {
+    let frames = events.map(|event| Ok::<Bytes, std::convert::Infallible>(event.into()));
     let mut response = Response::new(Body::from_stream(frames));
     let headers = response.headers_mut();
     headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(Media::Events.name()));
@@ -197,7 +202,8 @@ fn events(
     response
 }
 
-fn event(name: &str, content: &impl serde::Serialize) -> String {
+/// A server-sent event.
+pub fn event(name: &str, content: &impl serde::Serialize) -> String {
     let content = serde_json::to_string(content).unwrap_or_default();
     format!("event: {name}\ndata: {content}\n\n")
 }
