@@ -88,7 +88,7 @@ pub fn upload(
             if data.is_empty() {
                 break;
             }
-            if !send(Part::Chunk(SetupChunk { file: index, data })) {
+            if !send(Part::Chunk(SetupChunk { file: index, data: data.into() })) {
                 return Ok(());
             }
         }

@@ -55,7 +55,7 @@ impl SmoothProjection<'_> {
         known: &[(u32, Location)],
         fix: impl Fn(Vector3) -> Vector3,
     ) -> Projected {
-        let mut feet = Feet { known: known.to_vec(), values: Vec::new(), weights: Vec::new() };
+        let mut feet = Feet { known: known.to_vec(), ..Feet::default() };
         let mut position = start;
         let mut steps = Vec::new();
         loop {
@@ -178,11 +178,18 @@ struct StepDerivative {
 }
 
 /// Distances and gradients of the components that take part, and the foot points they were found at.
+#[derive(Default)]
 struct Feet {
     known: Vec<(u32, Location)>,
     values: Vec<(f64, Vector3)>,
     weights: Vec<f64>,
+    /// Components that were searched in vain, from where, and a lower bound of their distance from there, m.
+    clear: Vec<(u32, Vector3, f64)>,
 }
+
+/// How much farther than needed a component is searched, as a fraction of the reach: the vertex may then move that far
+/// before it has to be searched again.
+const AHEAD: f64 = 0.1;
 
 impl Feet {
     fn find(&mut self, projection: &SmoothProjection, x: &Vector3) {
@@ -201,14 +208,24 @@ impl Feet {
                 continue;
             }
             let within = least.clamp(0.0, f64::MAX) + reach;
-            if body.bounds().distance(x) > within {
+            let clear = self.clear.iter().position(|&(c, _, _)| c == component);
+            let farther = |k: usize| self.clear[k].2 - (x - self.clear[k].1).norm() > within;
+            if clear.is_some_and(farther) || body.bounds().distance(x) > within {
                 continue;
             }
-            if let Some(foot) = body.closest_point_within(x, within) {
+            let searched = within + AHEAD * reach;
+            let foot = body.closest_point_within(x, searched);
+            if let Some(foot) = foot.filter(|foot| foot.distance.abs() <= within) {
                 let at = SignedDistance::new(body).at(x, foot);
                 self.known.push((component, foot.location));
                 least = least.min(at.phi);
                 self.values.push((at.phi, at.normal));
+                continue;
+            }
+            let entry = (component, *x, foot.map_or(searched, |foot| foot.distance.abs()));
+            match clear {
+                Some(k) => self.clear[k] = entry,
+                None => self.clear.push(entry),
             }
         }
     }

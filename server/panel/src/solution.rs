@@ -37,8 +37,8 @@ pub(crate) struct State<const B: usize> {
 
 #[derive(Debug)]
 pub(crate) enum AnyState {
-    Symmetric(State<2>),
-    Full(State<3>),
+    Symmetric(Box<State<2>>),
+    Full(Box<State<3>>),
 }
 
 /// The flow over one geometry at one Mach number, for every angle of attack.
@@ -124,9 +124,9 @@ impl Solution {
         let points = setup.panels.gather(vertices);
         setup.wakes.check(&setup.panels, &points)?;
         let state = if setup.panels.symmetric {
-            AnyState::Symmetric(State::new(&setup, &points, mach, monitor)?)
+            AnyState::Symmetric(Box::new(State::new(&setup, &points, mach, monitor)?))
         } else {
-            AnyState::Full(State::new(&setup, &points, mach, monitor)?)
+            AnyState::Full(Box::new(State::new(&setup, &points, mach, monitor)?))
         };
         Ok(Self { setup, mach, vertices: vertices.to_vec(), state })
     }

@@ -28,6 +28,7 @@ from moldline.model import (
     Gradients,
     Jacobian,
     Linearisation,
+    Progress,
     SessionState,
     SetupAccess,
     SetupSummary,

@@ -1,5 +1,7 @@
 //! Against closed forms, published results, differences, dual numbers, and with bad input.
 
+#![allow(clippy::unwrap_used, reason = "helpers of tests may panic")]
+
 mod derivatives;
 mod dual;
 mod flow;
