@@ -54,7 +54,8 @@ impl StoreError {
 
     /// By the class of the system's error below.
     pub(crate) fn of(object: &str, error: &object_store::Error) -> Self {
-        let (object, reason) = (object.to_owned(), root(error).to_string());
+        let innermost = chain(error).last().map(ToString::to_string).unwrap_or_default();
+        let (object, reason) = (object.to_owned(), innermost);
         match io_kind(error) {
             Some(io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded | io::ErrorKind::FileTooLarge) => {
                 Self::Full { object, reason }
@@ -67,16 +68,13 @@ impl StoreError {
     }
 }
 
-/// The innermost error.
-fn root<'e>(error: &'e (dyn Error + 'static)) -> &'e (dyn Error + 'static) {
-    std::iter::successors(Some(error), |error| error.source()).last().unwrap_or(error)
+/// An error and what is below it, outermost first.
+fn chain<'e>(error: &'e (dyn Error + 'static)) -> impl Iterator<Item = &'e (dyn Error + 'static)> {
+    std::iter::successors(Some(error), |&error| error.source())
 }
 
 fn io_kind(error: &(dyn Error + 'static)) -> Option<io::ErrorKind> {
-    std::iter::successors(Some(error), |error| error.source())
-        .filter_map(|error| error.downcast_ref::<io::Error>())
-        .map(io::Error::kind)
-        .last()
+    chain(error).filter_map(|error| error.downcast_ref::<io::Error>()).map(io::Error::kind).last()
 }
 
 #[cfg(test)]
