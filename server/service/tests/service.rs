@@ -312,12 +312,16 @@ async fn set_ups_beyond_the_budget_are_loaded_again_with_the_same_bits() {
     let before = service.deform(&local(), &session, moved(0.5)).await.unwrap();
     let (vertices, id) = (before.deformation().vertices.clone(), before.id().to_owned());
     let second = create(&service, "second").await.unwrap();
-    assert_eq!(service.status(&local()).await.unwrap().setups_resident, 2, "the first is in use");
+    let other = service.get_setup(&local(), &second).await.unwrap();
+    assert_eq!(service.status(&local()).await.unwrap().setups_resident, 2, "both are in use");
     let error = create(&service, "third").await.unwrap_err();
     assert_eq!(error.code, Code::ResourceExhausted);
-    drop(before);
+    drop((before, other));
+    let elsewhere = open(&service, &second).await;
+    service.deform(&local(), &elsewhere, moved(0.1)).await.unwrap();
     create(&service, "third").await.unwrap();
-    assert_eq!(service.status(&local()).await.unwrap().setups_resident, 1);
+    let cache = service.status(&local()).await.unwrap().setup_cache;
+    assert_eq!((cache.entries, cache.evictions), (2, 1), "the second one is held by its linearisation");
     assert!(service.get_setup(&local(), &second).await.is_ok());
     // The session has lost nothing: its set-up and the linearisation are made again.
     let seeds = || first_x(vertices.len());
