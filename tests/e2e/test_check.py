@@ -7,14 +7,28 @@ import math
 import subprocess
 import time
 from pathlib import Path
+from typing import Any
 
 import moldline
+import numpy as np
 import pytest
 from moldline.v1 import mesh_service_pb2 as wire
 
+import sphere_and_boom
 from server import Server
 
 ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def setup_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The small set-up within bounds that the boom leaves the sphere in: random designs have a mesh."""
+
+    def near(document: dict[str, Any], _vertices: np.ndarray, _cells: list[list[int]]) -> None:
+        far = document["parameterisation"]["variables"][2]
+        far["lower"], far["upper"] = -0.2, 0.2
+
+    return sphere_and_boom.write(tmp_path_factory.mktemp("near"), change=near)
 
 
 @pytest.fixture(scope="module")

@@ -164,6 +164,12 @@ async fn grpc(
             while blocks.message().await?.is_some() {}
             Ok(())
         }
+        "Check" => {
+            let request = v1::CheckRequest { setup_id, ..Default::default() };
+            let mut events = client.check(request).await?.into_inner();
+            while events.message().await?.is_some() {}
+            Ok(())
+        }
         "GetStatus" => client.get_status(v1::GetStatusRequest {}).await.map(drop),
         other => panic!("{other} is missing in this table"),
     }
@@ -200,6 +206,7 @@ async fn http(
             ("POST", session + "/vjp", json!({ "at": at, "functions": functions }).to_string())
         }
         "Jacobian" => ("POST", session + "/jacobian", json!({ "at": at }).to_string()),
+        "Check" => ("POST", setup + "/check", "{}".to_owned()),
         "GetStatus" => ("GET", "/v1/status".to_owned(), String::new()),
         other => panic!("{other} is missing in this table"),
     };

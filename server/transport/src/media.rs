@@ -232,7 +232,12 @@ pub fn json<T: de::DeserializeOwned>(body: &Bytes) -> Answer<T> {
     let mut reader = serde_json::Deserializer::from_slice(text);
     let document = serde_path_to_error::deserialize(&mut reader).map_err(|error| {
         let path = error.path().to_string();
-        let field = if path == "." { "body".to_owned() } else { path };
+        let field = match path.as_str() {
+            // A text that ends too early has a path that is not known.
+            "." | "?" => "body".to_owned(),
+            list if list.starts_with('[') => format!("body{list}"),
+            _ => path,
+        };
         ServiceError::invalid(field, error.into_inner().to_string())
     })?;
     reader.end().map_err(|error| ServiceError::invalid("body", error.to_string()))?;
@@ -539,6 +544,6 @@ mod tests {
         assert_eq!(fault("{\"colour\": 1}"), "colour");
         assert_eq!(fault("{}{}"), "body");
         assert_eq!(fault("{"), "body");
-        assert_eq!(fault("[1]"), "body");
+        assert_eq!(fault("[1]"), "body[0]");
     }
 }

@@ -276,7 +276,13 @@ async fn bad_bodies_are_refused_before_they_cost_anything() {
         (&format!("{deform}?colour=x"), OCTETS, &nan, (400, "query")),
         ("/v1/sessions/%ff/deform", "application/json", b"{}", (400, "path")),
         ("/v1/sessions/none/deform", "application/json", b"{}", (404, "session_id")),
-        (&format!("{session}/vjp"), "application/json", b"{}", (400, "vertices")),
+        (&format!("{session}/vjp"), "application/json", b"{}", (400, "at")),
+        (
+            &format!("{session}/vjp"),
+            "application/json",
+            b"{\"at\": {\"design_point\": {}}}",
+            (400, "vertices"),
+        ),
         (&format!("{session}/jacobian"), "application/json", b"{}", (400, "at")),
     ] {
         let answer = server.ask("POST", path, &[("content-type", kind)], body).await;
