@@ -6,6 +6,7 @@ import pytest
 import schemathesis
 from hypothesis import HealthCheck, Phase, settings
 from schemathesis import Case
+from schemathesis.specs.openapi.checks import positive_data_acceptance
 from server import Server
 
 BINARY = ["x-npy", "x-npz", "x-tar", "gzip", "zip", "toml"]
@@ -34,4 +35,5 @@ schema = schemathesis.pytest.from_fixture("api")
     suppress_health_check=list(HealthCheck),
 )
 def test_answers_are_as_described(case: Case) -> None:
-    case.call_and_validate(timeout=30)
+    # No schema can say which sessions there are, how long a design is, or that an upload is a whole set-up.
+    case.call_and_validate(timeout=30, excluded_checks=[positive_data_acceptance])

@@ -97,7 +97,11 @@ void Connection::attempts(
       status = attempt(context);
     }
     if (status.ok()) return;
-    const Failure failed_with = failure(status);
+    Failure failed_with = failure(status);
+    if (failed_with.code == grpc::StatusCode::CANCELLED && Clock::now() >= budget.end) {
+      // A server that ends a call at its deadline may say so in this way.
+      failed_with.code = grpc::StatusCode::DEADLINE_EXCEEDED;
+    }
     if (!again(failed_with) || failed >= options_.retry.attempts) raise(failed_with);
     std::uniform_real_distribution<double> share(0.0, 1.0);
     const Seconds pause = failed_with.retry_after.value_or(Seconds(0.0)) + share(generator()) * longest;

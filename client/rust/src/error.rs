@@ -1,6 +1,6 @@
 //! What goes wrong, one code for each class of failure.
 
-use std::{error, fmt, io, path::Path, time::Duration};
+use std::{error, fmt, io, iter, path::Path, time::Duration};
 
 use tonic_types::StatusExt;
 
@@ -147,9 +147,14 @@ fn code(status: &tonic::Status) -> Code {
         tonic::Code::OutOfRange => Code::OutOfRange,
         tonic::Code::DeadlineExceeded => Code::DeadlineExceeded,
         tonic::Code::Unavailable => Code::Unavailable,
+        _ if causes(status).any(|cause| cause.is::<tonic::TimeoutExpired>()) => Code::DeadlineExceeded,
         // What has a cause has not come from the server: the connection broke before it answered.
-        _ if error::Error::source(status).is_some() => Code::Unavailable,
+        _ if causes(status).next().is_some() => Code::Unavailable,
         tonic::Code::Cancelled => Code::Cancelled,
         _ => Code::Internal,
     }
+}
+
+fn causes(status: &tonic::Status) -> impl Iterator<Item = &(dyn error::Error + 'static)> {
+    iter::successors(error::Error::source(status), |cause| cause.source())
 }

@@ -7,7 +7,7 @@ import random
 import time
 from dataclasses import dataclass
 
-from moldline.errors import MoldlineError, ResourceExhausted, Unavailable
+from moldline.errors import Cancelled, DeadlineExceeded, MoldlineError, ResourceExhausted, Unavailable
 
 
 @dataclass(frozen=True)
@@ -55,6 +55,9 @@ class Attempts:
     def pause(self, error: MoldlineError) -> float:
         """Seconds to wait before the next attempt; raises `error` if there is none."""
         self._failed += 1
+        if isinstance(error, Cancelled) and self._deadline.remaining == 0.0:
+            # A server that ends a call at its deadline may say so in this way.
+            raise DeadlineExceeded("the call took longer than its timeout")
         again = isinstance(error, Unavailable) or (isinstance(error, ResourceExhausted) and error.retry_after is not None)
         if not again or self._failed >= self._retry.attempts:
             raise error

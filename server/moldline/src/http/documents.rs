@@ -177,7 +177,7 @@ pub struct Jacobian {
 #[schema(as = CheckRequest)]
 pub struct Check {
     /// The baseline and random designs far from it, so many in all.
-    #[schema(nullable = false)]
+    #[schema(nullable = false, format = Int64, maximum = 4294967295_u32)]
     designs: Option<u32>,
     /// This design: every variable in order, or some by name.
     #[schema(value_type = Option<DesignValues>, nullable = false)]
@@ -224,7 +224,7 @@ pub struct UpdateSession {
 #[serde(deny_unknown_fields)]
 #[schema(as = ShareSetupRequest)]
 pub struct ShareSetup {
-    /// Nobody, tenants that are named, or every tenant of the server.
+    // The description is that of the words.
     #[schema(inline)]
     pub visibility: Visibility,
     /// Tenants, with `tenants`.

@@ -215,6 +215,7 @@ pub fn event(name: &str, content: &impl serde::Serialize) -> String {
 pub struct Page {
     /// Most entries of the answer; 0 and more than the server's limit are its limit.
     #[serde(default)]
+    #[param(format = Int64, maximum = 4294967295_u32)]
     pub page_size: u32,
     /// As the answer before gave it; empty for the first page.
     #[serde(default)]
