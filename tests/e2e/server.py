@@ -8,6 +8,7 @@ import subprocess
 import threading
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 import moldline
 
@@ -32,8 +33,8 @@ class Server:
         for line in self.process.stderr:
             self.log.append(line)
 
-    def client(self) -> moldline.Client:
-        return moldline.Client(self.address)
+    def client(self, **options: Any) -> moldline.Client:
+        return moldline.Client(self.address, **options)
 
     def stop(self) -> int:
         """Asks it to stop, and returns its exit code."""

@@ -599,7 +599,6 @@ mod tests {
         let read = seeds(Some(array(&[2, 5, 3])), Some(array(&[2, 4]))).unwrap();
         assert_eq!(read.vertices, Some(vec![vec![[0.0; 3]; 5]; 2]));
         assert_eq!(read.functions, Some(vec![vec![0.0; 4]; 2]));
-        assert_eq!(field(at(None).unwrap_err()), "at");
     }
 
     #[test]

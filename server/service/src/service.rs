@@ -89,6 +89,18 @@ impl At {
     pub fn design(design: Design) -> Self {
         Self { id: None, design: Some(design) }
     }
+
+    /// # Errors
+    /// `InvalidArgument` if it is nowhere.
+    fn check(&self) -> Result<(), ServiceError> {
+        match self {
+            Self { id: None, design: None } => Err(ServiceError::invalid(
+                "at",
+                "is missing: name a linearisation, send a design point, or both",
+            )),
+            _ => Ok(()),
+        }
+    }
 }
 
 /// Where the time of a request went.
@@ -419,16 +431,12 @@ impl Service {
         caller.need(Role::User)?;
         let setup = self.sessions.setup(&caller.tenant, session_id)?;
         let found = |value| Product { value, timing: Timing::default() };
-        let design = match (&at.id, at.design) {
-            (_, Some(design)) => design,
-            (Some(id), None) => {
-                return self.sessions.find(session_id, id).map(found).ok_or_else(|| not_kept(id));
-            }
-            (None, None) => {
-                return Err(ServiceError::invalid(
-                    "at",
-                    "is missing: name a linearisation, send a design point, or both",
-                ));
+        at.check()?;
+        let design = match at.design {
+            Some(design) => design,
+            None => {
+                let id = at.id.unwrap_or_default();
+                return self.sessions.find(session_id, &id).map(found).ok_or_else(|| not_kept(&id));
             }
         };
         const FIELD: &str = "at.design_point";
@@ -470,6 +478,7 @@ impl Service {
     ) -> Result<Product<Vec<Tangent>>, ServiceError> {
         caller.need(Role::User)?;
         let setup = self.sessions.setup(&caller.tenant, session_id)?;
+        at.check()?;
         let directions = directions.check(&setup.engine, &self.limits)?;
         let at = self.linearised(caller, session_id, at).await?;
         self.product(at, move |linearised| linearised.jvp(&directions)).await
@@ -489,6 +498,7 @@ impl Service {
     ) -> Result<Product<Gradients>, ServiceError> {
         caller.need(Role::User)?;
         let setup = self.sessions.setup(&caller.tenant, session_id)?;
+        at.check()?;
         let wanted = wanted.check(setup.engine.parameterisation())?;
         let seeds = seeds.check(&setup.engine, &self.limits)?;
         let at = self.linearised(caller, session_id, at).await?;
