@@ -19,7 +19,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let out = PathBuf::from(env::var("OUT_DIR")?);
     fs::write(out.join("descriptors.bin"), descriptors.encode_to_vec())?;
     let builder = tonic_prost_build::configure().bytes(".moldline.v1");
-    let builder = if env::var_os("CARGO_FEATURE_JSON").is_some() { json(builder, &descriptors) } else { builder };
+    let builder =
+        if env::var_os("CARGO_FEATURE_JSON").is_some() { json(builder, &descriptors) } else { builder };
     builder.compile_fds(descriptors)?;
     Ok(())
 }
@@ -49,10 +50,11 @@ fn json(mut builder: Builder, descriptors: &FileDescriptorSet) -> Builder {
                     let full = format!("{path}.{}", oneof.name());
                     // The end of a path, since what begins with the whole one are its variants too.
                     let field = format!("{}.{}", message.name(), oneof.name());
-                    builder = builder
-                        .enum_attribute(&full, DERIVE)
-                        .enum_attribute(&full, WORDS)
-                        .field_attribute(&field, "#[serde(flatten, skip_serializing_if = \"Option::is_none\")]");
+                    builder =
+                        builder.enum_attribute(&full, DERIVE).enum_attribute(&full, WORDS).field_attribute(
+                            &field,
+                            "#[serde(flatten, skip_serializing_if = \"Option::is_none\")]",
+                        );
                 }
             }
             for field in &message.field {
