@@ -77,7 +77,7 @@ def test_a_wing_lifts_as_a_wing_does(panels: moldline.panel.Client, configuratio
     assert 4.0 < lift / 0.05 < 5.2
     assert abs(raised.disagreement) < 0.05
     elliptic = lift**2 / (np.pi * 8)
-    assert elliptic < raised.coefficients.induced_drag < 1.15 * elliptic
+    assert 0.9 * elliptic < raised.coefficients.induced_drag < 1.15 * elliptic
     # The lift is the load over the half span, twice.
     sections = raised.sections
     assert np.isclose(2 * np.sum(sections.loads * np.abs(sections.spans[:, 0])) / 8.0, lift, rtol=1e-6)
@@ -120,7 +120,7 @@ def test_openmdao_agrees_with_differences(
 
     monkeypatch.chdir(tmp_path)
     # One number moves the vertices: as many differences, not three for each vertex.
-    shape = np.random.default_rng(5).normal(size=(configuration.vertex_count, 3)) * [1e-2, 0.0, 1e-2]
+    shape = np.random.default_rng(5).normal(size=(configuration.vertex_count, 3)) * [1e-3, 0.0, 1e-3]
     problem = om.Problem(reports=False)
     morph = om.ExecComp("vertices = base + s * shape", vertices={"shape": shape.shape}, base=wing()[0], shape=shape, s=0.5)
     problem.model.add_subsystem("morph", morph)
@@ -135,7 +135,7 @@ def test_openmdao_agrees_with_differences(
     problem.run_model()
     of, wrt = ["panel.lift", "panel.induced_drag", "panel.section_loads"], ["morph.s", "panel.alpha", "panel.mach"]
     exact = problem.compute_totals(of, wrt)
-    for name, step in (("morph.s", 1e-3), ("panel.alpha", 1e-4), ("panel.mach", 1e-4)):
+    for name, step in (("morph.s", 1e-2), ("panel.alpha", 1e-4), ("panel.mach", 1e-4)):
         centre = problem.get_val(name).copy()
         sides = []
         for sign in (1, -1):

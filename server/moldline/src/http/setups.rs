@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use axum::{
-    body::{Body, Bytes},
+    body::Body,
     extract::State,
     http::{HeaderMap, HeaderValue, StatusCode, header},
     response::Response,
@@ -15,12 +15,7 @@ use moldline_transport::{
     media::{self, ARRAYS, Chunks, Media},
 };
 use serde::Deserialize;
-use tokio::{
-    sync::mpsc,
-    time::{Duration, sleep},
-};
-use tokio_stream::{StreamExt, wrappers::UnboundedReceiverStream};
-use tracing::{Instrument, Span};
+use tokio_stream::StreamExt;
 
 use super::{
     Http,

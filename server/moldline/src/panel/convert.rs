@@ -225,7 +225,7 @@ pub fn seeds(seeds: v1::FlowOutputs) -> Result<Vec<Outputs>, ServiceError> {
             let description = format!("{columns} is not {}: {}", Scalars::COUNT, Scalars::NAMES.join(", "));
             return Err(ServiceError::invalid(format!("{field}.shape[1]"), description));
         }
-        Ok(float64(field, array)?.as_chunks().0.to_vec())
+        Ok(float64(field, array)?.as_chunks::<{ Scalars::COUNT }>().0.to_vec())
     })?;
     let sections = rows.block("seeds.section_loads".to_owned(), seeds.section_loads, vectors)?;
     let cp = rows.block("seeds.cp".to_owned(), seeds.cp, vectors)?;
