@@ -126,16 +126,13 @@ GEOMETRY = (
     *("fuselage.barrel_side.y", "fuselage.barrel_top.z", "fuselage.barrel_bottom.z", "fuselage.tail_side.y"),
 )
 
-#: What the panel service gives: coefficients by the reference above, slopes per radian of angle of attack.
-AERODYNAMICS = (
-    "lift_coefficient",
-    "induced_drag_coefficient",
-    "moment_coefficient",
-    "lift_slope",
-    "moment_slope",
-)
+#: What the panel service gives: coefficients by the reference above and the neutral point. Lift that balances the weight is
+#: that of the circulation, which goes with the induced drag of the Trefftz plane; the moment is that of the pressure, and so
+#: is the normal force that carries it to the centre of gravity.
+_COEFFICIENTS = ("lift", "induced_drag", "pressure_lift", "pressure_drag", "moment", "neutral_point")
+AERODYNAMICS = tuple(f"flow.{name}" for name in _COEFFICIENTS)
 
-INPUTS = (*GEOMETRY, *AERODYNAMICS)
+INPUTS = (*GEOMETRY, *AERODYNAMICS, "angle_of_attack")
 
 
 class Air(NamedTuple):
@@ -229,8 +226,8 @@ def analyse(state: Mapping[str, Value], model: Mapping[str, Value] | None = None
     nacelle_area = np.pi * m["nacelle_width"] * m["nacelle_length"]
 
     # --- drag and fuel
-    lift = pressure * REFERENCE_AREA * state["lift_coefficient"]
-    induced = REFERENCE_AREA * state["induced_drag_coefficient"]
+    lift = pressure * REFERENCE_AREA * state["flow.lift"]
+    induced = REFERENCE_AREA * state["flow.induced_drag"]
 
     def friction(length: Value) -> Value:
         return raymer.friction_coefficient(air.density * speed * length / air.viscosity, m["mach"])
@@ -409,9 +406,10 @@ def analyse(state: Mapping[str, Value], model: Mapping[str, Value] | None = None
     centre_of_gravity = sum(weights[name] * x for name, x in positions.items()) / sum(weights.values())
 
     # --- trim and stability
-    moment = pressure * REFERENCE_AREA * REFERENCE_CHORD * state["moment_coefficient"]
-    moment = moment + lift * (centre_of_gravity - REFERENCE_POINT[0])
-    neutral_point = REFERENCE_POINT[0] - REFERENCE_CHORD * state["moment_slope"] / state["lift_slope"]
+    alpha = state["angle_of_attack"]
+    normal = state["flow.pressure_lift"] * np.cos(alpha) + state["flow.pressure_drag"] * np.sin(alpha)
+    lever = centre_of_gravity - REFERENCE_POINT[0]
+    moment = pressure * REFERENCE_AREA * (REFERENCE_CHORD * state["flow.moment"] + lever * normal)
 
     results = {
         "fuel_weight": weights["fuel"],
@@ -423,11 +421,11 @@ def analyse(state: Mapping[str, Value], model: Mapping[str, Value] | None = None
         "pitching_moment": moment,
         "wing_loading": gross / wing.area,
         "tail_volume": tail.area * (arm - m["tail_arm_offset"]) / (wing.area * wing.chord),
-        "static_margin": (neutral_point - centre_of_gravity) / wing.chord,
+        "static_margin": (state["flow.neutral_point"] - centre_of_gravity) / wing.chord,
         "lift_to_drag": lift_to_drag,
         "fuel_fraction": fuel,
         "centre_of_gravity": centre_of_gravity,
-        "neutral_point": neutral_point,
+        "neutral_point": state["flow.neutral_point"],
         "tail_arm": arm,
         "wing_area": wing.area,
         "wing_aspect_ratio": wing.aspect_ratio,
@@ -444,7 +442,7 @@ def analyse(state: Mapping[str, Value], model: Mapping[str, Value] | None = None
 
 
 #: m^3: volume of the fuselage of the set-up's geometry; the paper's payload is per volume of the baseline's.
-BASELINE_VOLUME = 226.0
+BASELINE_VOLUME = 201.35057256999775
 
 
 def derivatives(

@@ -26,8 +26,8 @@ class Limit(NamedTuple):
 
 #: N: about the gross weight, which forces are measured by.
 WEIGHT = 65_000 * POUND_FORCE
-#: Of the objective: a change by a tenth of the baseline's fuel is 1, about as much as the variables' bounds bring.
-FUEL = 1_600 * POUND_FORCE
+#: N: about the baseline's fuel, which the objective is measured by.
+FUEL = 15_000 * POUND_FORCE
 OBJECTIVE = "fuel_weight"
 
 _PAYLOAD = MODEL["baseline_payload"].value

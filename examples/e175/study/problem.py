@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 import aircraft
@@ -32,13 +32,13 @@ RESULTS = (
 
 
 class Aerodynamics(Protocol):
-    """A flow solver: coefficients of :data:`aircraft.AERODYNAMICS` on the mesh's vertices, and their gradients."""
+    """A flow solver: what :data:`aircraft.AERODYNAMICS` names, on the mesh's vertices, and its gradients."""
 
     def coefficients(self, vertices: Array, alpha: float) -> Array:
-        """(5,), at an angle of attack in radians."""
+        """(6,), at an angle of attack in radians."""
 
     def gradients(self, vertices: Array, alpha: float) -> tuple[Array, Array]:
-        """By the vertices, (5, n, 3), per metre, and by the angle of attack, (5,), per radian."""
+        """By the vertices, (6, n, 3), per metre, and by the angle of attack, (6,), per radian."""
 
 
 class Clock:
@@ -100,7 +100,7 @@ class Flow(om.ExplicitComponent):  # type: ignore[misc]  # OpenMDAO has no types
         self.add_input("vertices", val=self.options["vertices"], units="m")
         self.add_input("angle_of_attack", val=0.0, units="rad")
         for name in aircraft.AERODYNAMICS:
-            self.add_output(name)
+            self.add_output(om_name(name), units=_units(name))
         self.declare_partials("*", "*")
 
     def compute(self, inputs: Any, outputs: Any) -> None:
@@ -108,7 +108,7 @@ class Flow(om.ExplicitComponent):  # type: ignore[misc]  # OpenMDAO has no types
         alpha = inputs["angle_of_attack"].item()
         values = self.options["clock"].time("panel", lambda: solve(np.array(inputs["vertices"]), alpha))
         for name, value in zip(aircraft.AERODYNAMICS, values, strict=True):
-            outputs[name] = value
+            outputs[om_name(name)] = value
 
     def compute_partials(self, inputs: Any, partials: Any) -> None:
         solve = self.options["aerodynamics"].gradients
@@ -117,8 +117,8 @@ class Flow(om.ExplicitComponent):  # type: ignore[misc]  # OpenMDAO has no types
             "panel adjoint", lambda: solve(np.array(inputs["vertices"]), alpha)
         )
         for row, name in enumerate(aircraft.AERODYNAMICS):
-            partials[name, "vertices"] = by_vertices[row].reshape(1, -1)
-            partials[name, "angle_of_attack"] = by_alpha[row]
+            partials[om_name(name), "vertices"] = by_vertices[row].reshape(1, -1)
+            partials[om_name(name), "angle_of_attack"] = by_alpha[row]
 
 
 class Aircraft(om.ExplicitComponent):  # type: ignore[misc]
@@ -129,8 +129,7 @@ class Aircraft(om.ExplicitComponent):  # type: ignore[misc]
 
     def setup(self) -> None:
         for name in aircraft.INPUTS:
-            units = None if name in aircraft.AERODYNAMICS else _units(name)
-            self.add_input(om_name(name), units=units)
+            self.add_input(om_name(name), val=0.0 if name == "angle_of_attack" else 1.0, units=_units(name))
         for name in RESULTS:
             self.add_output(name)
         self.declare_partials("*", "*")
@@ -151,86 +150,20 @@ class Aircraft(om.ExplicitComponent):  # type: ignore[misc]
         return {name: inputs[om_name(name)].item() for name in aircraft.INPUTS}
 
 
-def _units(name: str) -> str:
+def _units(name: str) -> str | None:
+    """Of an input of the aircraft."""
+    if name == "angle_of_attack":
+        return "rad"
+    if name in aircraft.AERODYNAMICS and name != "flow.neutral_point":
+        return None
     if name.endswith(".volume"):
         return "m**3"
     return "m**2" if name.endswith("area") else "m"
 
 
-class SLSQP(om.Driver):  # type: ignore[misc]
-    """:func:`slsqp.minimise` as an OpenMDAO driver: it records, resumes and tells how far it is."""
-
-    def __init__(self, **options: Any) -> None:
-        super().__init__(**options)
-        for kind in ("optimization", "inequality_constraints", "equality_constraints", "two_sided_constraints", "gradients"):
-            self.supports[kind] = True
-        #: Keyword arguments of :func:`slsqp.minimise`.
-        self.settings: dict[str, Any] = {}
-        #: Gives what is to be kept with each evaluation.
-        self.notes: Callable[[], dict[str, Any]] = dict
-        self.outcome: slsqp.Outcome | None = None
-
-    def run(self) -> bool:
-        start = self.get_design_var_values()
-        bounds = self.autoscaler.get_bounds_scaling("design_var")
-        limits = self.autoscaler.get_bounds_scaling("constraint")
-        constraints = []
-        for name in self.get_constraint_values():
-            limit = limits[name]
-            lower, upper = (limit.equals, limit.equals) if limit.equals is not None else (limit.lower, limit.upper)
-            constraints.append(
-                slsqp.Constraint(
-                    name,
-                    -np.inf if lower is None else np.ravel(lower).item(),
-                    np.inf if upper is None else np.ravel(upper).item(),
-                )
-            )
-        self.outcome = slsqp.minimise(
-            _Functions(self, list(start), [np.size(value) for value in start.values()]),
-            _joined(start.values()),
-            _joined(bounds[name].lower for name in start),
-            _joined(bounds[name].upper for name in start),
-            constraints,
-            **self.settings,
-        )
-        return not self.outcome.converged
-
-
-class _Functions:
-    """The driver's problem as :class:`slsqp.Functions`."""
-
-    def __init__(self, driver: SLSQP, names: list[str], sizes: list[int]) -> None:
-        self._driver = driver
-        self._names = names
-        self._ends = np.cumsum(sizes)[:-1]
-        #: Where the model is.
-        self._at = b""
-
-    def values(self, x: Array) -> tuple[float, Array, dict[str, Any]]:
-        driver = self._driver
-        for name, value in zip(self._names, np.split(x, self._ends), strict=True):
-            driver.set_design_var(name, value)
-        driver._problem().model.run_solve_nonlinear()
-        driver.iter_count += 1
-        self._at = x.tobytes()
-        objective = _joined(driver.get_objective_values().values()).item()
-        return objective, _joined(driver.get_constraint_values().values()), driver.notes()
-
-    def derivatives(self, x: Array) -> tuple[Array, Array, dict[str, Any]]:
-        driver = self._driver
-        if self._at != x.tobytes():
-            self.values(x)
-        responses = [*driver.get_objective_values(), *driver.get_constraint_values()]
-        totals = driver._problem().compute_totals(responses, self._names, return_format="array", driver_scaling=True)
-        return totals[0].copy(), totals[1:].copy(), driver.notes()
-
-
-def _joined(values: Iterable[Any]) -> Array:
-    return np.concatenate([np.ravel(value) for value in values])
-
-
 class Study:
-    """The OpenMDAO problem on a session and a flow solver.
+    """The OpenMDAO problem on a session and a flow solver. `problem` has its variables and constraints declared, so that any
+    OpenMDAO driver can run it; :meth:`run` minimises with :mod:`slsqp`, which records and resumes.
 
     `limits`: constraints, such as `formulation.PROBLEMS["with"]`. `angle_of_attack`: whether it is a variable too, as it is
     not in the paper. `model`: numbers of `aircraft.MODEL` to replace.
@@ -256,60 +189,46 @@ class Study:
         group.add_subsystem("flow", flow, promotes=["*"])
         group.add_subsystem("aircraft", Aircraft(model=dict(model or {})), promotes=["*"])
 
-        baseline = setup.baseline
         lower, upper = setup.bounds
-        #: Names of the variables in OpenMDAO, and their entries in a design of the mesh service.
-        self.variables = {om_name(each.name): each.entries for each in setup.groups.values()}
-        for name, entries in self.variables.items():
-            middle = baseline[entries]
-            reach = (upper[entries] - lower[entries]) / 2
-            group.add_design_var(name, lower=lower[entries], upper=upper[entries], ref0=middle, ref=middle + reach)
+        #: Names of the mesh service's variables in OpenMDAO, and their entries in a design.
+        self._entries = {om_name(each.name): each.entries for each in setup.groups.values()}
+        #: By name: lower and upper bound, value that is scaled to 0, change that is scaled to 1.
+        self._variables = {
+            name: (lower[at], upper[at], setup.baseline[at], (upper[at] - lower[at]) / 2)
+            for name, at in self._entries.items()
+        }
         if angle_of_attack:
-            limit, reach = ANGLE_OF_ATTACK
-            group.add_design_var("angle_of_attack", lower=-limit, upper=limit, ref0=0.0, ref=reach)
+            bound, reach = (np.array([value]) for value in ANGLE_OF_ATTACK)
+            self._variables["angle_of_attack"] = (-bound, bound, np.zeros(1), reach)
+        for name, (low, high, zero, reach) in self._variables.items():
+            group.add_design_var(name, lower=low, upper=high, ref0=zero, ref=zero + reach)
         group.add_objective(OBJECTIVE, ref=FUEL)
         for limit in self.limits:
-            sides = (
-                {"equals": limit.lower * limit.scale}
-                if limit.lower == limit.upper
-                else {
-                    side: value * limit.scale
-                    for side, value in (("lower", limit.lower), ("upper", limit.upper))
-                    if np.isfinite(value)
-                }
-            )
-            group.add_constraint(limit.result, ref=limit.scale, **sides)
-
-        self.driver = SLSQP()
-        self.driver.notes = self.notes
-        self.problem.driver = self.driver
+            low, high = limit.lower * limit.scale, limit.upper * limit.scale
+            sides = {"lower": low, "upper": high} if np.isfinite(high) else {"lower": low}
+            group.add_constraint(limit.result, ref=limit.scale, **({"equals": low} if low == high else sides))
         self.problem.setup(mode="rev")
 
     def notes(self) -> dict[str, Any]:
         """Seconds in the services since the last call, and what is known of the present design."""
+        design = np.empty(sum(at.stop - at.start for at in self._entries.values()))
+        for name, at in self._entries.items():
+            design[at] = self.problem.get_val(name).ravel()
         return {
             "service_seconds": self.clock.read(),
             "quality": self.mesh.quality(),
-            "design": self.design().tolist(),
+            "design": design.tolist(),
             "angle_of_attack": self.problem.get_val("angle_of_attack").item(),
             "results": {name: self.problem.get_val(name).item() for name in RESULTS},
             "state": {name: self.problem.get_val(om_name(name)).item() for name in aircraft.INPUTS},
         }
-
-    def design(self) -> Array:
-        """Of the mesh service."""
-        return _joined(self.problem.get_val(name) for name in self.variables)
-
-    def set_design(self, design: Array) -> None:
-        for name, entries in self.variables.items():
-            self.problem.set_val(name, design[entries].reshape(self.problem.get_val(name).shape))
 
     def trim(self, *, tolerance: float = 1e-9, steps: int = 12) -> None:
         """Turns the whole wing (all twists by as much) and the tail until lift is weight and the moment is zero.
 
         With the angle of attack in place of the twists, if that is a variable. Newton's method with the exact derivatives.
         """
-        wing = "angle_of_attack" if "angle_of_attack" in self.problem.model.get_design_vars() else "wing:twist"
+        wing = "angle_of_attack" if "angle_of_attack" in self._variables else "wing:twist"
         wrt, of = [wing, "htail:rotation"], ["lift_excess", "pitching_moment"]
         scales = {limit.result: limit.scale for limit in self.limits}
         for _ in range(steps):
@@ -325,11 +244,36 @@ class Study:
 
     def run(self, **settings: Any) -> slsqp.Outcome:
         """Minimises the fuel from the present design on; `settings` of :func:`slsqp.minimise`."""
-        self.driver.settings = settings
-        self.problem.run_driver()
-        assert self.driver.outcome is not None
-        return self.driver.outcome
+        low, high, zero, reach = (np.concatenate(each) for each in zip(*self._variables.values(), strict=True))
+        constraints = [slsqp.Constraint(limit.result, limit.lower, limit.upper) for limit in self.limits]
+        start = np.concatenate([self.problem.get_val(name).ravel() for name in self._variables])
+        bounds = ((low - zero) / reach, (high - zero) / reach)
+        return slsqp.minimise(self, (start - zero) / reach, *bounds, constraints, **settings)
+
+    def values(self, x: Array) -> tuple[float, Array, dict[str, Any]]:
+        """Of :class:`slsqp.Functions`."""
+        ends = np.cumsum([len(zero) for _, _, zero, _ in self._variables.values()])[:-1]
+        for (name, (_, _, zero, reach)), part in zip(self._variables.items(), np.split(x, ends), strict=True):
+            self.problem.set_val(name, (zero + part * reach).reshape(self.problem.get_val(name).shape))
+        self.problem.run_model()
+        self._at = x.tobytes()
+        constraints = [self.problem.get_val(limit.result).item() / limit.scale for limit in self.limits]
+        return self.problem.get_val(OBJECTIVE).item() / FUEL, np.array(constraints), self.notes()
+
+    def derivatives(self, x: Array) -> tuple[Array, Array, dict[str, Any]]:
+        """Of :class:`slsqp.Functions`."""
+        if self._at != x.tobytes():
+            self.values(x)
+        of = [OBJECTIVE, *(limit.result for limit in self.limits)]
+        totals = self.problem.compute_totals(of, list(self._variables), return_format="array")
+        scales = np.array([FUEL, *(limit.scale for limit in self.limits)])
+        reach = np.concatenate([reach for *_, reach in self._variables.values()])
+        scaled = totals * reach / scales[:, np.newaxis]
+        return scaled[0], scaled[1:], {"service_seconds": self.clock.read()}
+
+    #: The point that the model is at.
+    _at = b""
 
 
-#: Bound of the angle of attack where it is a variable, and by how much it is scaled, rad.
+#: Bound of the angle of attack where it is a variable, and the change that is scaled to 1, rad.
 ANGLE_OF_ATTACK = (np.radians(8.0), np.radians(5.0))

@@ -22,8 +22,8 @@ from scipy.optimize import lsq_linear, minimize
 
 Array = NDArray[np.float64]
 
-#: How near a bound or limit counts as on it, in scaled units.
-ACTIVE = 1e-6
+#: How near a bound or limit may have a multiplier, in scaled units.
+NEAR = 1e-3
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Iterate:
     infeasibility: float
     #: Name of that constraint.
     worst: str
-    #: Largest entry of the Lagrangian's gradient, scaled; see :func:`stationarity`.
+    #: See :func:`stationarity`.
     optimality: float
     #: Multipliers of the constraints: change of the optimal objective for a unit of their limit, scaled.
     multipliers: Array
@@ -151,31 +151,31 @@ def stationarity(
     lower: Array,
     upper: Array,
 ) -> tuple[float, Array]:
-    """How far the gradient of the Lagrangian is from zero at best (largest entry), and the constraints' multipliers.
+    """How far the conditions of Karush, Kuhn and Tucker are from being met at best, and the constraints' multipliers.
 
-    The multipliers are the least-squares ones among those of the right sign; limits and bounds that are not active have none.
+    The multipliers are the least-squares ones among those of the right sign; only limits and bounds that are nearly reached
+    have one. Returned is the largest entry of the Lagrangian's gradient, or of the products of multipliers and what is left to
+    the limits, whichever is more.
     """
-    columns, low, high, rows = [], [], [], []
-    for row, (constraint, value) in enumerate(zip(constraints, values, strict=True)):
-        at_lower, at_upper = value <= constraint.lower + ACTIVE, value >= constraint.upper - ACTIVE
-        if at_lower or at_upper:
-            columns.append(jacobian[row])
-            low.append(-np.inf if at_upper else 0.0)
-            high.append(np.inf if at_lower else 0.0)
-            rows.append(row)
-    for k in range(len(x)):
-        at_lower, at_upper = x[k] <= lower[k] + ACTIVE, x[k] >= upper[k] - ACTIVE
-        if at_lower or at_upper:
-            columns.append(np.eye(len(x))[k])
-            low.append(-np.inf if at_upper else 0.0)
-            high.append(np.inf if at_lower else 0.0)
-    multipliers = np.zeros(len(constraints))
-    if not columns:
-        return float(np.abs(gradient).max()), multipliers
-    matrix = np.array(columns).T
-    found = lsq_linear(matrix, gradient, bounds=(low, high), method="bvls", tol=1e-14)
-    multipliers[rows] = found.x[: len(rows)]
-    return float(np.abs(gradient - matrix @ found.x).max()), multipliers
+    columns, low, high, slack = [], [], [], []
+    rows = [*jacobian, *np.eye(len(x))]
+    limits = [(c.lower, c.upper) for c in constraints] + list(zip(lower, upper, strict=True))
+    chosen = []
+    for k, (row, value, (least, most)) in enumerate(zip(rows, [*values, *x], limits, strict=True)):
+        if value <= least + NEAR or value >= most - NEAR:
+            chosen.append(k)
+            columns.append(row)
+            low.append(-np.inf if value >= most - NEAR else 0.0)
+            high.append(np.inf if value <= least + NEAR else 0.0)
+            slack.append(min(abs(value - least), abs(most - value)) if least < most else 0.0)
+    multipliers = np.zeros(len(rows))
+    gap = 0.0
+    if columns:
+        found = lsq_linear(np.array(columns).T, gradient, bounds=(low, high), method="bvls", tol=1e-14)
+        multipliers[chosen] = found.x
+        gap = float(np.abs(found.x * slack).max())
+    left = gradient - np.array(rows).T @ multipliers
+    return max(float(np.abs(left).max()), gap), multipliers[: len(constraints)]
 
 
 def minimise(
@@ -188,14 +188,17 @@ def minimise(
     feasible: float = 1e-6,
     optimal: float = 1e-4,
     iterations: int = 40,
+    weight: float = 300.0,
     record: Path | None = None,
     resume: bool = False,
     description: dict[str, Any] | None = None,
     tell: Callable[[Iterate], None] = lambda iterate: None,
 ) -> Outcome:
-    """Minimises in scaled variables, until no constraint is violated by more than `feasible` and the gradient of the
-    Lagrangian has no entry above `optimal`.
+    """Minimises in scaled variables, until no constraint is violated by more than `feasible` and :func:`stationarity` is at
+    most `optimal`.
 
+    `weight`: what SLSQP sees the objective multiplied by. It begins with the unit matrix for the Lagrangian's second
+    derivatives, so that the weight decides how far its first steps go; no result depends on it.
     `record`: file that evaluations are written to. `resume`: whether it is read first. `description`: of the problem; a
     record with another one is refused. `tell`: called with every iterate.
     """
@@ -296,10 +299,10 @@ def minimise(
             return Outcome(True, "the start is optimal", iterates)
         kinds = [of_kind(kind) for kind in ("eq", "ineq")]
         found = minimize(
-            lambda x: values(x)["objective"],
+            lambda x: weight * values(x)["objective"],
             start,
             method="SLSQP",
-            jac=lambda x: np.array(derivatives(x)["gradient"]),
+            jac=lambda x: weight * np.array(derivatives(x)["gradient"]),
             bounds=list(zip(lower, upper, strict=True)),
             constraints=[{k: v for k, v in kind.items() if k != "size"} for kind in kinds if kind["size"]],
             callback=accept,

@@ -27,8 +27,8 @@ def state() -> dict[str, float]:
         "fuselage.cabin.x": 15.8, "fuselage.hold.x": 15.0, "fuselage.nose_gear.x": 3.9, "fuselage.main_gear.x": 16.25,
         "fuselage.barrel_side.y": 1.505, "fuselage.barrel_top.z": 2.625, "fuselage.barrel_bottom.z": -0.725,
         "fuselage.tail_side.y": 0.9,
-        "lift_coefficient": 0.33, "induced_drag_coefficient": 0.0045, "moment_coefficient": -0.08,
-        "lift_slope": 6.0, "moment_slope": -1.5,
+        "flow.lift": 0.33, "flow.induced_drag": 0.0045, "flow.pressure_lift": 0.332, "flow.pressure_drag": 0.006, "flow.moment": -0.08,
+        "flow.neutral_point": 15.0, "angle_of_attack": 0.03,
     }  # fmt: skip
     for surface, at in stations.items():
         for name, (leading, trailing, y) in at.items():
@@ -82,19 +82,20 @@ def test_gross_weight_is_the_sum_of_the_parts(state: dict[str, float]) -> None:
 
 
 def test_trim_and_stability_are_about_the_centre_of_gravity(state: dict[str, float]) -> None:
-    """A lift that acts at a point has no moment about it; a slope of the moment puts the neutral point."""
+    """A force that acts at a point has no moment about it."""
     centre = analyse(state)["centre_of_gravity"]
-    lever = (REFERENCE_POINT[0] - centre) / REFERENCE_CHORD
-    through = state | {"moment_coefficient": state["lift_coefficient"] * lever, "moment_slope": state["lift_slope"] * lever}
-    result = analyse(through)
+    normal = 0.332 * np.cos(0.03) + 0.006 * np.sin(0.03)
+    moment = normal * (REFERENCE_POINT[0] - centre) / REFERENCE_CHORD
+    result = analyse(state | {"flow.moment": moment, "flow.neutral_point": centre + 0.05 * 3.42})
     assert result["pitching_moment"] == pytest.approx(0.0, abs=1e-9 * result["lift"])
-    assert result["static_margin"] == pytest.approx(0.0, abs=1e-14)
-    aft = state | {"moment_slope": state["lift_slope"] * (lever - 0.05)}
-    assert analyse(aft)["static_margin"] == pytest.approx(0.05 * REFERENCE_CHORD / state["wing.mean_aerodynamic_chord"])
+    assert result["static_margin"] == pytest.approx(0.05)
+    # Nose up is positive: the same force further ahead.
+    assert analyse(state | {"flow.moment": moment + 0.01})["pitching_moment"] > 0
     air = aircraft.standard_air(7620.0)
     pressure = 0.5 * air.density * (0.7 * air.speed_of_sound) ** 2
     assert pressure == pytest.approx(12_897, rel=1e-4)
     assert result["lift"] == pytest.approx(pressure * REFERENCE_AREA * 0.33, rel=1e-14)
+    assert result["lift_excess"] == result["lift"] - result["gross_weight"]
 
 
 def test_tail_volume_of_straight_tapered_surfaces(state: dict[str, float]) -> None:
@@ -117,15 +118,20 @@ def test_table_3s_tail_volume(state: dict[str, float]) -> None:
 
 
 def test_derivatives_are_those_of_differences(state: dict[str, float]) -> None:
-    results = [name for name, value in analyse(state).items() if np.ndim(value) == 0]
+    """Central ones of fourth order, all inputs in one array."""
+    names = list(aircraft.INPUTS)
+    at = analyse(state)
+    results = [name for name, value in at.items() if np.ndim(value) == 0]
     exact = derivatives(state, results)
-    for column, name in enumerate(aircraft.INPUTS):
-        step = 1e-4 * max(1e-2, abs(state[name]))
-        ends = [analyse(state | {name: state[name] + sign * step}) for sign in (-2, -1, 1, 2)]
-        for result in results:
-            a, b, c, d = (end[result] for end in ends)
-            scale = abs(analyse(state)[result]) / max(1e-2, abs(state[name]))
-            assert exact[result][column] == pytest.approx((a - 8 * b + 8 * c - d) / (12 * step), rel=1e-8, abs=1e-8 * scale)
+    sizes = np.array([max(1e-2, abs(state[name])) for name in names])
+    ends = [
+        analyse({name: state[name] + shift * 1e-4 * sizes * (np.arange(len(names)) == k) for k, name in enumerate(names)})
+        for shift in (-2, -1, 1, 2)
+    ]
+    for result in results:
+        a, b, c, d = (np.broadcast_to(end[result], len(names)) for end in ends)
+        differences = (a - 8 * b + 8 * c - d) / 12e-4
+        np.testing.assert_allclose(exact[result] * sizes, differences, rtol=1e-8, atol=1e-8 * abs(at[result]), err_msg=result)
 
 
 def test_every_number_of_the_model_matters(state: dict[str, float]) -> None:
