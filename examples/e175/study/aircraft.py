@@ -63,16 +63,17 @@ CHOICES = {
     "control_functions": Choice(7.0, "1", "Raymer: 4 to 7"),
     "electrical_rating": Choice(50.0, "kVA", "Raymer: 40 to 60 for transports"),
     "avionics_weight": Choice(1_100 * POUND_FORCE, "N", "uninstalled; Raymer: 800 to 1,400 lb"),
-    "cabin_systems": Choice(
+    "engines_weighed": Choice(
         0.0,
         "1",
-        "share of furnishings, seats, air conditioning, APU, anti-ice and instruments that is weighed: Table 3 and the payload "
-        "leave 27,030 lbf for the empty weight, and Sec. V.C says that subsystems are simplified or omitted; 1 weighs them all",
+        "share of the dry engines that is weighed. The paper leaves propulsion out in part (Sec. V.C) and has nacelles among its components: "
+        "its Table 3 and payload leave 27,030 lbf for the empty weight, which is what all regressions give without engines; 1 weighs them",
     ),
+    "systems_weighed": Choice(1.0, "1", "share of furnishings, seats, air conditioning, APU, anti-ice, instruments: all of them"),
     "cockpit_crew": Choice(2.0, "1", "E175"),
-    "passengers": Choice(76.0, "1", "E175, single class at 31 in; only with cabin systems"),
-    "apu_weight": Choice(260 * POUND_FORCE, "N", "uninstalled, of this class; only with cabin systems"),
-    "pressurised_fraction": Choice(0.85, "1", "of the fuselage's volume; only with cabin systems"),
+    "passengers": Choice(76.0, "1", "E175, single class at 31 in"),
+    "apu_weight": Choice(260 * POUND_FORCE, "N", "uninstalled, of this class"),
+    "pressurised_fraction": Choice(0.85, "1", "of the fuselage's volume"),
     # balance
     "tail_arm_offset": Choice(
         2.3,
@@ -80,7 +81,6 @@ CHOICES = {
         "subtracted from the distance of the quarter chords in Eq. (20) alone: that distance, 14.0 m, gives C_VT = 1.39 for the "
         "areas of Table 3's baseline, beyond the bound; its 1.16 takes 11.7 m",
     ),
-    "structure_position": Choice(0.45, "1", "fuselage and systems, of its length; Raymer, Table 15.2: 0.40 to 0.50"),
     "surface_position": Choice(0.40, "1", "wing, fuel in it and tails, of their mean chord; Raymer, Table 15.2"),
     "cabin_share": Choice(0.72, "1", "of the payload in the cabin, the rest in the hold: 76 passengers with hand luggage, 95 kg each"),
     "nacelle_ahead": Choice(2.9, "m", "front of the nacelle ahead of the leading edge at the kink"),
@@ -278,7 +278,6 @@ def analyse(state: Mapping[str, Value], model: Mapping[str, Value] | None = None
     def components(gross: Value) -> dict[str, Value]:
         size = {"gross_weight": gross, "load_factor": m["load_factor"]}
         landing = {"landing_weight": m["landing_fraction"] * gross, "load_factor": m["landing_load_factor"]}
-        cabin = m["cabin_systems"]
         return {
             "wing": raymer.wing_weight(
                 **size,
@@ -325,7 +324,7 @@ def analyse(state: Mapping[str, Value], model: Mapping[str, Value] | None = None
                 stall_speed=m["stall_speed"],
             ),
             "nose gear": raymer.nose_gear_weight(**landing, length=m["nose_gear_length"], wheels=m["nose_wheels"]),
-            "propulsion": m["engines"] * m["engine_weight"]
+            "propulsion": m["engines_weighed"] * m["engines"] * m["engine_weight"]
             + raymer.nacelle_weight(
                 engine_weight=m["engine_weight"],
                 engines=m["engines"],
@@ -352,7 +351,7 @@ def analyse(state: Mapping[str, Value], model: Mapping[str, Value] | None = None
                 rating=m["electrical_rating"], run=m["fuselage_length"], generators=m["engines"]
             )
             + raymer.avionics_weight(uninstalled=m["avionics_weight"]),
-            "cabin systems": cabin
+            "cabin systems": m["systems_weighed"]
             * (
                 raymer.furnishings_weight(
                     crew=m["cockpit_crew"],
@@ -386,7 +385,8 @@ def analyse(state: Mapping[str, Value], model: Mapping[str, Value] | None = None
 
     # --- balance
     part = m["surface_position"] - 0.25
-    body = m["structure_position"] * m["fuselage_length"]
+    # The middle of the cabin, half of the length: Raymer's Table 15.2 has 0.40 to 0.50 for fuselages and what is in them.
+    body = state["fuselage.cabin.x"]
     on_wing = wing.quarter_chord + part * wing.chord
     kink = [state[f"wing.kink_{edge}.x"] for edge in _EDGES]
     positions = {
@@ -399,8 +399,8 @@ def analyse(state: Mapping[str, Value], model: Mapping[str, Value] | None = None
         "propulsion": (kink[0] - m["nacelle_ahead"] + kink[1] - m["nacelle_end_ahead"]) / 2,
         "fuel system": on_wing,
         "systems": body,
-        "cabin systems": state["fuselage.cabin.x"],
-        "payload": m["cabin_share"] * state["fuselage.cabin.x"] + (1 - m["cabin_share"]) * state["fuselage.hold.x"],
+        "cabin systems": body,
+        "payload": m["cabin_share"] * body + (1 - m["cabin_share"]) * state["fuselage.hold.x"],
         "fuel": on_wing,
     }
     centre_of_gravity = sum(weights[name] * x for name, x in positions.items()) / sum(weights.values())

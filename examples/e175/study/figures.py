@@ -6,6 +6,7 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import matplotlib
 
@@ -15,7 +16,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.collections import LineCollection, PolyCollection
 from numpy.typing import NDArray
-from slsqp import Iterate
 
 sys.path.append(str(Path(__file__).parents[2] / "demo"))
 
@@ -49,19 +49,21 @@ class Shape:
         return self.vertices[np.where(cells == NO_VERTEX, cells[:, 2:3], cells)]
 
 
-def convergence(path: Path, runs: Mapping[str, Sequence[Iterate]], names: Mapping[str, Sequence[str]]) -> None:
+def convergence(path: Path, runs: Mapping[str, Sequence[Mapping[str, Any]]]) -> None:
     """Fig. 8: constraints above, optimality and infeasibility below, a column for each problem."""
-    figure, axes = plt.subplots(2, len(runs), figsize=(5.5 * len(runs), 6.4), sharex="col", squeeze=False, layout="constrained")
+    size = (5.5 * len(runs), 6.4)
+    figure, axes = plt.subplots(2, len(runs), figsize=size, sharex="col", squeeze=False, layout="constrained")
     for column, (run, iterates) in enumerate(runs.items()):
         above, below = axes[:, column]
-        numbers = [iterate.number for iterate in iterates]
-        for row, name in enumerate(names[run]):
-            above.plot(numbers, [iterate.constraints[row] for iterate in iterates], ".-", label=name.replace("_", " "))
+        numbers = [iterate["iteration"] for iterate in iterates]
+        for name in iterates[0]["constraints"]:
+            values = [iterate["constraints"][name] for iterate in iterates]
+            above.plot(numbers, values, ".-", label=name.replace("_", " "))
         above.set_title(TITLES[run])
         above.set_yscale("symlog", linthresh=1e-4)
         above.legend(fontsize=7)
-        below.semilogy(numbers, [iterate.optimality for iterate in iterates], ".-", label="optimality")
-        below.semilogy(numbers, [max(iterate.infeasibility, 1e-16) for iterate in iterates], ".-", label="feasibility")
+        for name in ("optimality", "infeasibility"):
+            below.semilogy(numbers, [max(iterate[name], 1e-16) for iterate in iterates], ".-", label=name)
         below.set_xlabel("iteration")
         below.legend(fontsize=8)
         for axis in (above, below):

@@ -29,6 +29,8 @@ WEIGHT = 65_000 * POUND_FORCE
 #: N: about the baseline's fuel, which the objective is measured by.
 FUEL = 15_000 * POUND_FORCE
 OBJECTIVE = "fuel_weight"
+#: See `slsqp.minimise`: an unscaled second derivative of the fuel is a few thousandths, with variables from bound to bound.
+OBJECTIVE_WEIGHT = 300.0
 
 _PAYLOAD = MODEL["baseline_payload"].value
 

@@ -15,7 +15,7 @@ import aircraft
 import numpy as np
 import openmdao.api as om
 import slsqp
-from formulation import FUEL, OBJECTIVE, Limit
+from formulation import FUEL, OBJECTIVE, OBJECTIVE_WEIGHT, Limit
 from moldline import Session
 from moldline.openmdao import DeformedMesh, om_name
 from numpy.typing import NDArray
@@ -39,6 +39,9 @@ class Aerodynamics(Protocol):
 
     def gradients(self, vertices: Array, alpha: float) -> tuple[Array, Array]:
         """By the vertices, (6, n, 3), per metre, and by the angle of attack, (6,), per radian."""
+
+    def pressures(self, vertices: Array, alpha: float) -> Array:
+        """Pressure coefficient of every cell, to be drawn."""
 
 
 class Clock:
@@ -180,6 +183,7 @@ class Study:
     ) -> None:
         setup = session.setup
         self.limits = tuple(limits)
+        self.model = dict(model or {})
         self.clock = Clock()
         self.mesh = Mesh(session=session, functions=aircraft.GEOMETRY, clock=self.clock)
         self.problem = om.Problem(reports=False)
@@ -187,7 +191,7 @@ class Study:
         group.add_subsystem("mesh", self.mesh, promotes=["*"])
         flow = Flow(aerodynamics=aerodynamics, vertices=setup.mesh.vertices, clock=self.clock)
         group.add_subsystem("flow", flow, promotes=["*"])
-        group.add_subsystem("aircraft", Aircraft(model=dict(model or {})), promotes=["*"])
+        group.add_subsystem("aircraft", Aircraft(model=self.model), promotes=["*"])
 
         lower, upper = setup.bounds
         #: Names of the mesh service's variables in OpenMDAO, and their entries in a design.
@@ -223,13 +227,21 @@ class Study:
             "state": {name: self.problem.get_val(om_name(name)).item() for name in aircraft.INPUTS},
         }
 
+    def get_variables(self) -> dict[str, Any]:
+        """By name, as lists of numbers that come back with the same bits."""
+        return {name: self.problem.get_val(name).tolist() for name in self._variables}
+
+    def set_variables(self, values: Mapping[str, Any]) -> None:
+        """What :meth:`get_variables` gave."""
+        for name, value in values.items():
+            self.problem.set_val(name, np.array(value))
+
     def trim(self, *, tolerance: float = 1e-9, steps: int = 12) -> None:
         """Turns the whole wing (all twists by as much) and the tail until lift is weight and the moment is zero.
 
         With the angle of attack in place of the twists, if that is a variable. Newton's method with the exact derivatives.
         """
-        wing = "angle_of_attack" if "angle_of_attack" in self._variables else "wing:twist"
-        wrt, of = [wing, "htail:rotation"], ["lift_excess", "pitching_moment"]
+        wrt, of = [self._trimmed_by, "htail:rotation"], list(TRIM)
         scales = {limit.result: limit.scale for limit in self.limits}
         for _ in range(steps):
             self.problem.run_model()
@@ -240,7 +252,24 @@ class Study:
             matrix = np.array([[totals[name, by].sum() / scales[name] for by in wrt] for name in of])
             for by, step in zip(wrt, np.linalg.solve(matrix, -residuals), strict=True):
                 self.problem.set_val(by, self.problem.get_val(by) + step)
-        raise RuntimeError(f"the aircraft is not trimmed after {steps} steps; residuals {residuals}")
+        raise RuntimeError(f"the aircraft cannot be trimmed after {steps} steps; residuals {residuals}")
+
+    def trim_multipliers(self, iterate: slsqp.Iterate) -> Array:
+        """By how much the objective of an aircraft that is kept in trim as :meth:`trim` does it changes for a unit of each
+        constraint, all scaled; zero for those that are not about trim."""
+        names = [limit.result for limit in self.limits]
+        rows = [names.index(name) for name in TRIM]
+        starts = np.cumsum([0, *(len(zero) for _, _, zero, _ in self._variables.values())])
+        entries = dict(zip(self._variables, zip(starts, starts[1:]), strict=False))
+        columns = [slice(*entries[name]) for name in (self._trimmed_by, "htail:rotation")]
+        matrix = np.array([[iterate.jacobian[row, at].sum() for at in columns] for row in rows])
+        multipliers = np.zeros(len(names))
+        multipliers[rows] = np.linalg.solve(matrix.T, [iterate.gradient[at].sum() for at in columns])
+        return multipliers
+
+    @property
+    def _trimmed_by(self) -> str:
+        return "angle_of_attack" if "angle_of_attack" in self._variables else "wing:twist"
 
     def run(self, **settings: Any) -> slsqp.Outcome:
         """Minimises the fuel from the present design on; `settings` of :func:`slsqp.minimise`."""
@@ -248,7 +277,7 @@ class Study:
         constraints = [slsqp.Constraint(limit.result, limit.lower, limit.upper) for limit in self.limits]
         start = np.concatenate([self.problem.get_val(name).ravel() for name in self._variables])
         bounds = ((low - zero) / reach, (high - zero) / reach)
-        return slsqp.minimise(self, (start - zero) / reach, *bounds, constraints, **settings)
+        return slsqp.minimise(self, (start - zero) / reach, *bounds, constraints, weight=OBJECTIVE_WEIGHT, **settings)
 
     def values(self, x: Array) -> tuple[float, Array, dict[str, Any]]:
         """Of :class:`slsqp.Functions`."""
@@ -275,5 +304,7 @@ class Study:
     _at = b""
 
 
+#: What is zero in trim.
+TRIM = ("lift_excess", "pitching_moment")
 #: Bound of the angle of attack where it is a variable, and the change that is scaled to 1, rad.
 ANGLE_OF_ATTACK = (np.radians(8.0), np.radians(5.0))

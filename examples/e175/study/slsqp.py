@@ -56,6 +56,9 @@ class Iterate:
     x: Array
     objective: float
     constraints: Array
+    #: Of the objective; of the constraints, a row each.
+    gradient: Array
+    jacobian: Array
     #: Largest violation of a constraint, scaled.
     infeasibility: float
     #: Name of that constraint.
@@ -188,7 +191,7 @@ def minimise(
     feasible: float = 1e-6,
     optimal: float = 1e-4,
     iterations: int = 40,
-    weight: float = 300.0,
+    weight: float = 1.0,
     record: Path | None = None,
     resume: bool = False,
     description: dict[str, Any] | None = None,
@@ -253,14 +256,15 @@ def minimise(
         at = np.array(of["constraints"])
         violations = [c.violation(value) for c, value in zip(constraints, at, strict=True)]
         worst = int(np.argmax(violations)) if violations else 0
-        optimality, multipliers = stationarity(
-            x, np.array(by["gradient"]), np.array(by["jacobian"]), at, constraints, lower, upper
-        )
+        gradient, jacobian = np.array(by["gradient"]), np.array(by["jacobian"])
+        optimality, multipliers = stationarity(x, gradient, jacobian, at, constraints, lower, upper)
         iterate = Iterate(
             number=len(iterates),
             x=np.array(of["x"]),
             objective=of["objective"],
             constraints=at,
+            gradient=gradient,
+            jacobian=jacobian,
             infeasibility=max(violations, default=0.0),
             worst=constraints[worst].name if violations else "",
             optimality=optimality,
