@@ -11,3 +11,6 @@ pub mod v1 {
 
 /// The compiled `FileDescriptorSet`, for server reflection.
 pub const FILE_DESCRIPTOR_SET: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/descriptors.bin"));
+
+#[cfg(feature = "json")]
+pub mod json;

@@ -8,6 +8,7 @@ import subprocess
 import threading
 from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 import moldline
 
@@ -16,7 +17,8 @@ class Server:
     """A running `moldline serve` on a free port of the loopback interface."""
 
     def __init__(self, binary: Path, *options: str) -> None:
-        command = [str(binary), "serve", "--listen", "127.0.0.1:0", *options]
+        listen = [] if "--listen" in options else ["--listen", "127.0.0.1:0"]
+        command = [str(binary), "serve", *listen, *options]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         self.log: list[str] = []
         self._reader = threading.Thread(target=self._read_log, daemon=True)
@@ -31,8 +33,8 @@ class Server:
         for line in self.process.stderr:
             self.log.append(line)
 
-    def client(self) -> moldline.Client:
-        return moldline.Client(self.address)
+    def client(self, **options: Any) -> moldline.Client:
+        return moldline.Client(self.address, **options)
 
     def stop(self) -> int:
         """Asks it to stop, and returns its exit code."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -285,7 +286,9 @@ def test_bad_control_points_are_refused(setup: moldline.Setup) -> None:
 
 
 def test_unknown_sessions_are_not_found(setup: moldline.Setup) -> None:
+    with setup.session() as session:
+        unknown = moldline.Session(setup, replace(session.state, id="x" * 10_000))
     with pytest.raises(moldline.NotFound) as refused:
-        moldline.Session(setup, "x" * 10_000).deform()
+        unknown.deform()
     assert refused.value.violations[0].field == "session_id"
     assert len(refused.value.message) < 500, "what a client sends is not repeated at length"

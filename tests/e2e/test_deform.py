@@ -124,7 +124,8 @@ def test_a_closed_session_is_gone_and_its_setup_is_not(setup: moldline.Setup) ->
 
 
 def test_more_than_the_server_takes_on_is_turned_away(binary: Path, setup_folder: Path) -> None:
-    with Server(binary, "--running", "1", "--queued", "0") as server, server.client() as client:
+    once = moldline.Retry(attempts=1)
+    with Server(binary, "--running", "1", "--queued", "0") as server, server.client(retry=once) as client:
         session = client.create_setup(setup_folder).session()
         refused: list[moldline.ResourceExhausted] = []
 

@@ -10,6 +10,7 @@ from typing import Any
 import moldline
 import numpy as np
 import pytest
+from moldline.errors import translated
 from moldline.v1 import array_pb2
 from moldline.v1 import mesh_service_pb2 as wire
 from server import Server
@@ -189,7 +190,7 @@ def test_a_dropped_linearisation_is_said_or_made_again(binary: Path, setup_folde
             (violation,) = refused.value.violations
             assert violation.field == "at.linearisation_id"
             assert "Deform again" in violation.description
-            # With the design at hand the client sends it in place of the id.
+            # With what `deform` returned the client sends the design too.
             again = session.jvp([1.0, 0.0, 0.0], at=first)
             assert again.vertices.tobytes() == before.vertices.tobytes()
             column = session.jacobian(at=first).vertices[0]
@@ -309,8 +310,8 @@ SEEDS: dict[str, tuple[Fields, str, list[str]]] = {
 
 def refused(session: moldline.Session, method: str, request: Any, field: str, words: list[str]) -> None:
     """The request is refused by field, and the session goes on."""
-    with pytest.raises(moldline.InvalidArgument) as error:
-        session.setup._client._call(method, request)
+    with pytest.raises(moldline.InvalidArgument) as error, translated():
+        getattr(session.setup._client._stub, method)(request)
     assert [violation.field for violation in error.value.violations] == [field]
     for word in words:
         assert word in error.value.message

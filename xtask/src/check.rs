@@ -1,6 +1,7 @@
 //! Lints and tests.
 
 use crate::{
+    clients::Clients,
     process::{Outcome, build_moldline, cargo, run},
     python::Python,
 };
@@ -41,11 +42,11 @@ pub fn test() -> Outcome {
     step(rust_lints());
     step(python_lints(&python));
     step(run("cargo test", cargo().args(["test", "--locked", "--workspace", "--no-fail-fast"])));
-    match build_moldline(false) {
-        Ok(binary) => {
+    match build_moldline(false).and_then(|binary| Ok((binary, Clients::built()?))) {
+        Ok((binary, clients)) => {
             let mut pytest = python.module("pytest");
             pytest.args(["-q", "--durations=5", "tests/e2e", "examples/demo"]).env("MOLDLINE_BINARY", binary);
-            step(run("pytest", &mut pytest));
+            step(run("pytest", clients.tell(&mut pytest)));
         }
         Err(message) => step(Err(message)),
     }

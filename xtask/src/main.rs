@@ -1,9 +1,11 @@
-//! The repository's own commands: `cargo xtask demo | figures | test | lint | bench`.
+//! The repository's own commands: `cargo xtask demo | figures | test | lint | clients | bench`.
 //!
-//! They need Rust, a C compiler and Python >= 3.11 only; everything else comes from crates.io and PyPI, into `target/`.
+//! They need Rust, a C compiler and Python >= 3.11 only; everything else comes from crates.io and PyPI, into `target/`, but
+//! for what the C++ client is built with: that comes from the distribution.
 
 mod bench;
 mod check;
+mod clients;
 mod demo;
 mod process;
 mod python;
@@ -38,6 +40,8 @@ enum Command {
     Test,
     /// Formatting, clippy and Python types
     Lint,
+    /// Build the Rust and C++ clients with their examples and test drivers; installs gRPC for C++ where it can
+    Clients,
     /// The benchmarks that the goals name, with scipy beside; numbers go to out/bench.json
     Bench {
         /// Also on the mesh of about 100,000 cells, made with gmsh if it is not there
@@ -55,6 +59,7 @@ fn main() -> ExitCode {
         Command::Figures { large } => demo::figures(large),
         Command::Test => check::test(),
         Command::Lint => check::lint(),
+        Command::Clients => clients::Clients::built().map(drop),
         Command::Bench { large, large_folder } => bench::bench(large, large_folder),
     };
     match outcome {

@@ -2,8 +2,9 @@
 
 use std::{net::SocketAddr, num::NonZeroUsize, path::PathBuf, time::Duration};
 
+use axum::http::HeaderValue;
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use moldline_service::{Limits, PoolLimits};
+use moldline_service::{Limits, PoolLimits, Role, Tenant};
 
 /// Deforms surface meshes with their geometry.
 #[derive(Debug, Parser)]
@@ -20,8 +21,12 @@ pub struct Cli {
 /// What the program can do.
 #[derive(Debug, Subcommand)]
 pub enum Command {
-    /// Serve set-ups and sessions over gRPC
+    /// Serve set-ups and sessions over gRPC and HTTP
     Serve(Serve),
+    /// Show what a server does and holds
+    Status(Status),
+    /// Make, list and revoke the tokens that a server asks for
+    Token(Token),
     /// Deform the mesh of a set-up on this machine and write it as VTU
     Deform(Deform),
     /// Build a set-up on this machine and print what was found
@@ -41,6 +46,9 @@ pub struct Telemetry {
     /// How they look
     #[arg(long, global = true, env = "MOLDLINE_LOG_FORMAT", default_value = "text")]
     pub log_format: LogFormat,
+    /// Send traces to this OpenTelemetry collector (OTLP over gRPC), as in `http://127.0.0.1:4317`
+    #[arg(long, global = true, env = "MOLDLINE_OTLP", value_name = "URL")]
+    pub otlp: Option<String>,
 }
 
 /// Looks of log messages.
@@ -52,15 +60,45 @@ pub enum LogFormat {
     Json,
 }
 
-/// Options of `moldline serve`.
+/// Where a service listens, who may use it, and how it ends.
 #[derive(Debug, Args)]
-pub struct Serve {
+pub struct Listen {
     /// Address to listen on; port 0 takes a free one. The address bound is the one line on standard output
     #[arg(long, env = "MOLDLINE_LISTEN", default_value = "127.0.0.1:50051")]
     pub listen: SocketAddr,
     /// Listen on an address that other machines reach, although nobody is asked who they are
     #[arg(long, env = "MOLDLINE_INSECURE_LISTEN")]
     pub insecure_listen: bool,
+    /// Ask callers for a token of this file (`moldline token create`); changes of the file count at once
+    #[arg(long, env = "MOLDLINE_TOKENS", value_name = "FILE")]
+    pub tokens: Option<PathBuf>,
+    /// The server's certificate and those that lead to its authority, PEM
+    #[arg(long, env = "MOLDLINE_TLS_CERT", value_name = "FILE", requires = "tls_key")]
+    pub tls_cert: Option<PathBuf>,
+    /// Its private key, PEM
+    #[arg(long, env = "MOLDLINE_TLS_KEY", value_name = "FILE", requires = "tls_cert")]
+    pub tls_key: Option<PathBuf>,
+    /// Ask callers for a certificate that one of these authorities has signed, PEM. It names the tenant: by a URI
+    /// `moldline://TENANT/ROLE` among its alternative names, or by its common name. Optional where there are --tokens too
+    #[arg(long, env = "MOLDLINE_CLIENT_CA", value_name = "FILE", requires = "tls_cert")]
+    pub client_ca: Option<PathBuf>,
+    /// Let web pages of this origin call, as in `https://example.org`
+    #[arg(long, env = "MOLDLINE_CORS_ORIGIN", value_name = "ORIGIN", value_delimiter = ',')]
+    pub cors_origin: Vec<HeaderValue>,
+    /// Seconds between telling health probes that the end is near and closing the port; one probe interval
+    #[arg(long, env = "MOLDLINE_DRAIN_DELAY", default_value_t = 0.0, value_name = "SECONDS", value_parser = seconds)]
+    pub drain_delay: f64,
+    /// Seconds that running requests have to finish
+    #[arg(long, env = "MOLDLINE_DRAIN_TIMEOUT", default_value_t = 30.0, value_name = "SECONDS", value_parser = seconds)]
+    pub drain_timeout: f64,
+}
+
+/// Options of `moldline serve`.
+#[derive(Debug, Args)]
+pub struct Serve {
+    /// The port.
+    #[command(flatten)]
+    pub listen: Listen,
     /// Threads that compute; results do not depend on it [default: one a core]
     #[arg(long, env = "MOLDLINE_THREADS")]
     pub threads: Option<NonZeroUsize>,
@@ -88,12 +126,6 @@ pub struct Serve {
     /// Memory of the linearisations of all sessions, MiB
     #[arg(long, env = "MOLDLINE_LINEARISATION_MEMORY", default_value_t = 2048, value_name = "MIB")]
     pub linearisation_memory: usize,
-    /// Seconds between telling health probes that the end is near and closing the port; one probe interval
-    #[arg(long, env = "MOLDLINE_DRAIN_DELAY", default_value_t = 0.0, value_name = "SECONDS", value_parser = seconds)]
-    pub drain_delay: f64,
-    /// Seconds that running requests have to finish
-    #[arg(long, env = "MOLDLINE_DRAIN_TIMEOUT", default_value_t = 30.0, value_name = "SECONDS", value_parser = seconds)]
-    pub drain_timeout: f64,
 }
 
 fn seconds(text: &str) -> Result<f64, String> {
@@ -125,6 +157,79 @@ impl Serve {
 /// The number asked for, or one a core.
 pub fn threads(asked: Option<NonZeroUsize>) -> usize {
     asked.or_else(|| std::thread::available_parallelism().ok()).map_or(1, NonZeroUsize::get)
+}
+
+/// Options of `moldline status`.
+#[derive(Debug, Args)]
+pub struct Status {
+    /// The server, as in `127.0.0.1:50051` or `https://example.org:50051`
+    #[arg(long, env = "MOLDLINE_SERVER", default_value = "127.0.0.1:50051", value_name = "URL")]
+    pub server: String,
+    /// A token, if the server asks for one
+    #[arg(long, env = "MOLDLINE_TOKEN", hide_env_values = true)]
+    pub token: Option<String>,
+    /// Authority that has signed the server's certificate, PEM
+    #[arg(long, env = "MOLDLINE_CA", value_name = "FILE")]
+    pub ca: Option<PathBuf>,
+    /// Show it again and again, every second or so many
+    #[arg(long, value_name = "SECONDS", num_args = 0..=1, default_missing_value = "1", value_parser = seconds)]
+    pub watch: Option<f64>,
+    /// As JSON, one line
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Options of `moldline token`.
+#[derive(Debug, Args)]
+pub struct Token {
+    /// The token file
+    #[arg(long, global = true, env = "MOLDLINE_TOKENS", value_name = "FILE", default_value = "tokens.json")]
+    pub tokens: PathBuf,
+    /// What to do.
+    #[command(subcommand)]
+    pub command: TokenCommand,
+}
+
+/// What to do with tokens.
+#[derive(Debug, Subcommand)]
+pub enum TokenCommand {
+    /// Make a token and print it, the only time that it is seen; the file has its hash
+    Create {
+        /// Whose set-ups and sessions it is for: up to 64 of a-z, 0-9, _ and -
+        #[arg(long, value_parser = |text: &str| Tenant::new(text).map_err(|error| error.to_string()))]
+        tenant: Tenant,
+        /// What it allows: `reader` sees, `user` does everything with what is the tenant's, `admin` sees all tenants' load
+        #[arg(long, value_parser = role)]
+        role: Role,
+        /// How long it is good for, as in `90d`, `12h`, `30m` or `45s`; for ever if absent
+        #[arg(long, value_parser = lifetime, value_name = "TIME")]
+        expires: Option<Duration>,
+    },
+    /// List the tokens, without their secrets
+    List,
+    /// Take a token out of the file: a running server refuses it from then on
+    Revoke {
+        /// As the list has it
+        id: String,
+    },
+}
+
+fn role(text: &str) -> Result<Role, String> {
+    moldline_transport::role(text).ok_or_else(|| "it is reader, user or admin".to_owned())
+}
+
+fn lifetime(text: &str) -> Result<Duration, String> {
+    let wrong = || "expected a number and one of s, m, h and d, as in 90d".to_owned();
+    let (number, unit) = text.split_at_checked(text.len().saturating_sub(1)).ok_or_else(wrong)?;
+    let number: u64 = number.parse().map_err(|_| wrong())?;
+    let unit = match unit {
+        "s" => 1,
+        "m" => 60,
+        "h" => 3600,
+        "d" => 86_400,
+        _ => return Err(wrong()),
+    };
+    number.checked_mul(unit).map(Duration::from_secs).ok_or_else(wrong)
 }
 
 /// Where a set-up is, for commands on local files.

@@ -20,7 +20,8 @@ use crate::{
     bar::Bar,
     config::{self, Document, Source},
     plot::PlotError,
-    serve::ServeError,
+    shell::ServeError,
+    status::StatusError,
 };
 
 /// Why a command fails, in words for the one who gave it.
@@ -29,6 +30,12 @@ pub enum Failure {
     /// The server.
     #[error(transparent)]
     Serve(#[from] ServeError),
+    /// The server's status is not to be had.
+    #[error(transparent)]
+    Status(#[from] StatusError),
+    /// Tokens cannot be changed.
+    #[error(transparent)]
+    Tokens(#[from] moldline_transport::tokens::TokenFileError),
     /// The set-up or the design is refused.
     #[error("{}", .0.message)]
     Refused(#[from] ServiceError),

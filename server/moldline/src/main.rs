@@ -4,23 +4,36 @@ use std::process::ExitCode;
 
 use clap::Parser;
 
+#[cfg(test)]
+mod access_tests;
 mod bar;
 mod check;
 mod config;
+mod convert;
 mod grpc;
+mod http;
 mod local;
+mod mesh;
 mod plot;
 mod serve;
+mod shell;
 mod shutdown;
+mod status;
+mod table;
 mod telemetry;
+#[cfg(test)]
+mod testing;
+mod token;
 
 use config::{Cli, Command};
 
 fn main() -> ExitCode {
     let cli = Cli::parse();
-    telemetry::start(&cli.telemetry);
+    let _traces = telemetry::start(&cli.telemetry);
     let outcome = match cli.command {
         Command::Serve(options) => serve::run(&options),
+        Command::Status(options) => status::run(&options).map_err(Into::into),
+        Command::Token(options) => token::run(&options).map_err(Into::into),
         Command::Deform(options) => local::deform(&options),
         Command::Setup(options) => local::setup(&options),
         Command::Check(options) => check::run(&options),

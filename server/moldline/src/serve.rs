@@ -1,116 +1,72 @@
-//! `moldline serve`, from configuration to exit code.
+//! `moldline serve`: the mesh service on a port.
 
-use std::{io::Write, net::SocketAddr, sync::Arc, time::Duration};
+use std::sync::Arc;
 
-use moldline_service::Service;
-use tokio::{net::TcpListener, runtime, sync::oneshot, time};
-use tonic::transport::server::TcpIncoming;
+use metrics::{counter, gauge};
+use moldline_service::{Principal, Service};
+use moldline_transport::{Gauges, Served};
 
-use crate::{config::Serve, grpc, shutdown};
-
-/// Why the server does not start, or ends badly.
-#[derive(Debug, thiserror::Error)]
-pub enum ServeError {
-    /// The address is reachable from outside and nobody is authenticated.
-    #[error(
-        "{0} can be reached by other machines, and this server does not ask who they are; listen on 127.0.0.1, \
-         or say --insecure-listen if the network around it does"
-    )]
-    Public(SocketAddr),
-    /// No threads.
-    #[error("cannot start the compute threads: {0}")]
-    Threads(#[from] rayon::ThreadPoolBuildError),
-    /// No runtime.
-    #[error("cannot start: {0}")]
-    Start(#[from] std::io::Error),
-    /// The address is not to be had.
-    #[error("cannot listen on {0}: {1}")]
-    Listen(SocketAddr, std::io::Error),
-    /// Reflection's descriptors do not load.
-    #[error("cannot describe the interface: {0}")]
-    Reflection(#[from] tonic_reflection::server::Error),
-    /// The transport failed.
-    #[error("the transport failed: {0}")]
-    Transport(#[from] tonic::transport::Error),
-    /// Requests were still running.
-    #[error("{0} requests were still running after the drain timeout and were abandoned")]
-    Abandoned(usize),
-}
+use crate::{
+    config::Serve,
+    grpc, http,
+    mesh::Meshes,
+    shell::{self, Parts, ServeError},
+};
 
 /// Serves until asked to stop, then finishes what runs.
 pub fn run(options: &Serve) -> Result<(), crate::local::Failure> {
-    if !options.listen.ip().is_loopback() && !options.insecure_listen {
-        return Err(ServeError::Public(options.listen).into());
-    }
     let service = Arc::new(Service::new(options.pool(), options.limits()).map_err(ServeError::from)?);
-    // Requests are few and compute elsewhere: one thread more than one keeps health probes answered.
-    let runtime = runtime::Builder::new_multi_thread()
-        .worker_threads(2)
-        .enable_all()
-        .build()
-        .map_err(ServeError::from)?;
+    let runtime = shell::runtime()?;
     let outcome = runtime.block_on(serve(options, service));
     runtime.shutdown_background();
     Ok(outcome?)
 }
 
 async fn serve(options: &Serve, service: Arc<Service>) -> Result<(), ServeError> {
-    let listener =
-        TcpListener::bind(options.listen).await.map_err(|error| ServeError::Listen(options.listen, error))?;
-    let address = listener.local_addr()?;
-    let (router, health) = grpc::router(Arc::clone(&service), options.max_message << 20).await?;
-
-    // Before anyone learns of the server: who knows its address may already ask it to stop.
-    let mut signals = shutdown::Signals::catch()?;
-    announce(address, options)?;
-    let (close, closed) = oneshot::channel::<()>();
-    // Small messages leave at once: without it answers wait for the acknowledgement of the one before.
-    let incoming = TcpIncoming::from(listener).with_nodelay(Some(true));
-    let mut server = tokio::spawn(router.serve_with_incoming_shutdown(incoming, async {
-        let _ = closed.await;
-    }));
-
-    tokio::select! {
-        () = signals.requested() => {}
-        ended = &mut server => return flatten(ended),
-    }
-    tracing::info!(running = service.load(), "asked to stop: finishing what runs");
-    health.end().await;
-    time::sleep(Duration::from_secs_f64(options.drain_delay)).await;
-    let _ = close.send(());
-    tokio::select! {
-        ended = &mut server => flatten(ended)?,
-        () = shutdown::idle(&service) => {}
-        () = time::sleep(Duration::from_secs_f64(options.drain_timeout)) => {
-            if service.load() > 0 {
-                return Err(ServeError::Abandoned(service.load()));
-            }
-        }
-    }
-    tracing::info!("stopped");
-    Ok(())
-}
-
-fn flatten(
-    ended: Result<Result<(), tonic::transport::Error>, tokio::task::JoinError>,
-) -> Result<(), ServeError> {
-    match ended {
-        Ok(outcome) => Ok(outcome?),
-        Err(error) => Err(ServeError::Start(std::io::Error::other(error))),
-    }
-}
-
-/// Says where the server listens: to programs on standard output, to people in the log.
-fn announce(address: SocketAddr, options: &Serve) -> Result<(), ServeError> {
-    let mut output = std::io::stdout().lock();
-    writeln!(output, "{}", serde_json::json!({ "event": "listening", "address": address.to_string() }))?;
-    output.flush()?;
     let pool = options.pool();
-    tracing::info!(%address, threads = pool.threads, running = pool.running, queued = pool.queued, "listening");
-    if address.ip().is_loopback() {
-        tracing::warn!("no authentication: every user of this machine can use this server");
-    } else {
-        tracing::warn!(%address, "NO AUTHENTICATION: EVERY MACHINE THAT REACHES THIS ADDRESS CAN USE THIS SERVER");
+    tracing::info!(threads = pool.threads, running = pool.running, queued = pool.queued, "computing");
+    shell::serve(&options.listen, parts(service, options.max_message << 20).await?).await
+}
+
+/// The mesh service as the shell takes it.
+pub async fn parts(service: Arc<Service>, max_message: usize) -> Result<Parts, ServeError> {
+    let meshes = Meshes::new(Arc::clone(&service));
+    let (grpc, open, health) = grpc::routes(meshes.clone(), max_message).await?;
+    let http = http::routes(meshes, max_message);
+    let gauges = gauges(Arc::clone(&service));
+    let load = Arc::new(move || service.load());
+    Ok(Parts { served: Served { http, grpc, open }, health, gauges, load })
+}
+
+/// Load and memory, for /metrics.
+fn gauges(service: Arc<Service>) -> Gauges {
+    Arc::new(move || {
+        let service = Arc::clone(&service);
+        Box::pin(async move {
+            match service.status(&Principal::local()).await {
+                Ok(status) => tell(&status),
+                Err(error) => tracing::warn!(%error, "cannot say what is under way"),
+            }
+        })
+    })
+}
+
+fn tell(status: &moldline_service::Status) {
+    gauge!("moldline_uptime_seconds").set(status.uptime.as_secs_f64());
+    gauge!("moldline_compute_running").set(status.running as f64);
+    gauge!("moldline_compute_running_limit").set(status.running_limit as f64);
+    gauge!("moldline_compute_queued").set(status.queued as f64);
+    gauge!("moldline_compute_queued_limit").set(status.queued_limit as f64);
+    gauge!("moldline_sessions").set(status.sessions as f64);
+    gauge!("moldline_setups_resident").set(status.setups_resident as f64);
+    gauge!("moldline_setups_stored").set(status.setups_stored as f64);
+    gauge!("moldline_stored_bytes").set(status.stored_bytes as f64);
+    for (name, cache) in [("setups", &status.setup_cache), ("linearisations", &status.linearisation_cache)] {
+        gauge!("moldline_cache_entries", "cache" => name).set(cache.entries as f64);
+        gauge!("moldline_cache_bytes", "cache" => name).set(cache.bytes as f64);
+        gauge!("moldline_cache_budget_bytes", "cache" => name).set(cache.budget as f64);
+        counter!("moldline_cache_hits_total", "cache" => name).absolute(cache.hits);
+        counter!("moldline_cache_misses_total", "cache" => name).absolute(cache.misses);
+        counter!("moldline_cache_evictions_total", "cache" => name).absolute(cache.evictions);
     }
-    Ok(())
 }

@@ -2,7 +2,6 @@
 
 use std::{io, time::Duration};
 
-use moldline_service::Service;
 use tokio::{signal, time};
 
 /// SIGTERM and Ctrl-C, caught from the moment this exists.
@@ -48,12 +47,12 @@ impl Signals {
 
 /// Waits until nothing computes and answers have had time to leave. What is then still open are idle streams, such as a
 /// health watch, which nobody needs to wait for.
-pub async fn idle(service: &Service) {
+pub async fn idle(load: &(dyn Fn() -> usize + Send + Sync)) {
     const POLL: Duration = Duration::from_millis(20);
     const LINGER: Duration = Duration::from_secs(1);
     let mut quiet = Duration::ZERO;
     while quiet < LINGER {
         time::sleep(POLL).await;
-        quiet = if service.load() == 0 { quiet + POLL } else { Duration::ZERO };
+        quiet = if load() == 0 { quiet + POLL } else { Duration::ZERO };
     }
 }

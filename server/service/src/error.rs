@@ -11,10 +11,20 @@ pub enum Code {
     NotFound,
     /// A request id was used before with other content.
     AlreadyExists,
+    /// Somebody else was faster: read again, then decide again.
+    Aborted,
+    /// The caller's role does not allow it. Never said of what the caller may not see: that is `NotFound`.
+    PermissionDenied,
+    /// Nobody knows who calls.
+    Unauthenticated,
     /// Valid, but the engine cannot do it from here: a seam is lost, a projection does not converge.
     FailedPrecondition,
     /// The service is full; later it may not be.
     ResourceExhausted,
+    /// The service ends, or its store cannot be reached or written to; later or elsewhere it may work.
+    Unavailable,
+    /// The caller's deadline has passed.
+    DeadlineExceeded,
     /// The caller went away.
     Cancelled,
     /// A fault of the service.
@@ -28,8 +38,13 @@ impl Code {
             Self::InvalidArgument => "INVALID_ARGUMENT",
             Self::NotFound => "NOT_FOUND",
             Self::AlreadyExists => "ALREADY_EXISTS",
+            Self::Aborted => "ABORTED",
+            Self::PermissionDenied => "PERMISSION_DENIED",
+            Self::Unauthenticated => "UNAUTHENTICATED",
             Self::FailedPrecondition => "FAILED_PRECONDITION",
             Self::ResourceExhausted => "RESOURCE_EXHAUSTED",
+            Self::Unavailable => "UNAVAILABLE",
+            Self::DeadlineExceeded => "DEADLINE_EXCEEDED",
             Self::Cancelled => "CANCELLED",
             Self::Internal => "INTERNAL",
         }

@@ -17,12 +17,14 @@
 //!
 //! Absent on purpose: wire formats, ports, and anything that survives the process.
 
+mod access;
 mod cancel;
 mod error;
 mod flight;
 mod limits;
 mod linearisation;
 mod pool;
+mod principal;
 mod progress;
 mod read;
 mod refusal;
@@ -30,10 +32,12 @@ mod requests;
 mod service;
 mod sessions;
 mod setups;
+mod status;
 mod upload;
 
 pub use moldline_setup::ArchiveKind;
 
+pub use access::{Access, Listed, Page, Session, SessionUpdate, SetupSummary, Visibility};
 pub use cancel::Cancellation;
 pub use error::{Code, ServiceError, Violation};
 pub use limits::Limits;
@@ -41,7 +45,9 @@ pub use linearisation::{
     ControlPointVectors, Design, Directions, Gradients, Linearised, Seeds, Values, Wanted,
 };
 pub use pool::PoolLimits;
+pub use principal::{Principal, Role, Tenant, TenantError};
 pub use progress::{Progress, Reporter};
-pub use service::{At, Created, Product, Receiving, Service, Timing};
+pub use service::{At, Created, Product, Receiving, Service, SetupView, Timing};
 pub use setups::{SetupId, StoredSetup};
+pub use status::{CacheStatus, Status, Work};
 pub use upload::{FileEntry, Upload, UploadHeader, UploadSource, Uploaded};

@@ -19,6 +19,8 @@ pub struct Limits {
     pub unpacked_bytes: u64,
     /// Components, control points, vertices and cells of a set-up.
     pub setup_file: moldline_setup::Limits,
+    /// Entries of one page of a list.
+    pub page: usize,
     /// Set-ups in memory.
     pub setups: usize,
     /// Sessions open.
@@ -49,6 +51,7 @@ impl Default for Limits {
                 mesh: moldline_mesh::Limits { vertices: 2_000_000, cells: 2_000_000, ..Default::default() },
                 ..Default::default()
             },
+            page: 1000,
             setups: 32,
             sessions: 1000,
             linearisations: 4,

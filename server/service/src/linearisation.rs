@@ -105,6 +105,13 @@ impl Resolved {
         Ok(Self { vector, overrides: overrides.collect::<Result<_, ServiceError>>()? })
     }
 
+    /// As it is stored.
+    pub fn design(&self, parameterisation: &Parameterisation) -> Design {
+        let name = |component: usize| parameterisation.components()[component].clone();
+        let given = self.overrides.iter().map(|given| (name(given.component), given.control_points.clone()));
+        Design { values: Values::Vector(self.vector.clone()), control_points: given.collect() }
+    }
+
     /// A name for (set-up, design): the same for the same, on any server.
     pub fn id(&self, setup: &SetupId) -> String {
         let mut hasher = blake3::Hasher::new();

@@ -104,6 +104,11 @@ impl ComputePool {
         completed
     }
 
+    /// How much computes at a time.
+    pub fn limits(&self) -> PoolLimits {
+        self.limits
+    }
+
     /// Engine calls that run or wait.
     pub fn load(&self) -> usize {
         self.limits.running + self.limits.queued - self.admitted.available_permits()

@@ -1,22 +1,28 @@
 //! What the service does, in the order in which a client meets it.
 
-use std::{sync::Arc, time::Duration};
+use std::{
+    sync::Arc,
+    time::{Duration, Instant},
+};
 
 use moldline_deform::{Setup, Tangent};
 use tokio::sync::Semaphore;
 
 use crate::{
+    access::{Access, Listed, Page, Session, SessionUpdate, SetupSummary, Visibility},
     cancel::Cancellation,
     error::{Code, ServiceError, shorten},
     flight::{Flights, Joined, Reports},
     limits::Limits,
     linearisation::{Design, Directions, Gradients, Linearised, Resolved, Seeds, Wanted},
     pool::{Completed, ComputePool, PoolLimits},
+    principal::{Principal, Role},
     progress::{Progress, Reporter},
     read::{self, Content},
     requests::Answers,
     sessions::Sessions,
-    setups::{SetupId, Setups, StoredSetup},
+    setups::{Owners, SetupId, Setups, StoredSetup},
+    status::{CacheStatus, Status},
     upload::{Upload, UploadHeader, Uploaded},
 };
 
@@ -24,7 +30,9 @@ use crate::{
 #[derive(Debug)]
 pub struct Service {
     limits: Limits,
+    started: Instant,
     pool: Arc<ComputePool>,
+    owners: Owners,
     uploads: Semaphore,
     setups: Arc<Setups>,
     builds: Flights<SetupId, StoredSetup>,
@@ -47,17 +55,52 @@ pub struct Receiving<'a> {
 pub struct Created {
     /// The set-up.
     pub setup: Arc<StoredSetup>,
-    /// Whether this call built it.
+    /// What it is to the caller.
+    pub access: Access,
+    /// Whether it is new to the caller.
     pub built: bool,
 }
 
-/// Where a derivative is taken.
-#[derive(Clone, Debug, PartialEq)]
-pub enum At {
-    /// At a linearisation that the session made.
-    Id(String),
-    /// At a design, linearised if the session does not keep it.
-    Design(Design),
+/// A set-up, and what it is to the caller.
+#[derive(Clone, Debug)]
+pub struct SetupView {
+    /// The set-up.
+    pub setup: Arc<StoredSetup>,
+    /// What it is to the caller.
+    pub access: Access,
+}
+
+/// Where a derivative is taken: by id, by design, or best by both.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct At {
+    /// Name of a linearisation, as deform gave it.
+    pub id: Option<String>,
+    /// A design, linearised again if the service does not hold it; that of the id, if there is one.
+    pub design: Option<Design>,
+}
+
+impl At {
+    /// Where the service holds a linearisation of that name.
+    pub fn id(id: impl Into<String>) -> Self {
+        Self { id: Some(id.into()), design: None }
+    }
+
+    /// At a design.
+    pub fn design(design: Design) -> Self {
+        Self { id: None, design: Some(design) }
+    }
+
+    /// # Errors
+    /// `InvalidArgument` if it is nowhere.
+    fn check(&self) -> Result<(), ServiceError> {
+        match self {
+            Self { id: None, design: None } => Err(ServiceError::invalid(
+                "at",
+                "is missing: name a linearisation, send a design point, or both",
+            )),
+            _ => Ok(()),
+        }
+    }
 }
 
 /// Where the time of a request went.
@@ -96,6 +139,8 @@ impl Service {
         const ANSWERS: usize = 4096;
         Ok(Self {
             pool: Arc::new(ComputePool::new(pool)?),
+            started: Instant::now(),
+            owners: Owners::default(),
             uploads: Semaphore::new(limits.uploads),
             setups: Arc::new(Setups::new(limits.setups)),
             builds: Flights::default(),
@@ -120,7 +165,8 @@ impl Service {
     ///
     /// # Errors
     /// `InvalidArgument` for the header's faults, `ResourceExhausted` if too many uploads are under way.
-    pub fn receive(&self, header: UploadHeader) -> Result<Receiving<'_>, ServiceError> {
+    pub fn receive(&self, caller: &Principal, header: UploadHeader) -> Result<Receiving<'_>, ServiceError> {
+        caller.need(Role::User)?;
         let place = self.uploads.try_acquire().map_err(|_| {
             ServiceError::new(
                 Code::ResourceExhausted,
@@ -140,27 +186,34 @@ impl Service {
     /// `ResourceExhausted` if there is no room.
     pub async fn create_setup(
         &self,
+        caller: &Principal,
         uploaded: Uploaded,
         mut tell: impl FnMut(Progress),
     ) -> Result<Created, ServiceError> {
+        caller.need(Role::User)?;
         tell(Progress { stage: "read", fraction: 0.0, message: "reading the files".to_owned() });
-        let request_id = uploaded.header.request_id.clone();
+        let request_id = match uploaded.header.request_id.as_str() {
+            "" => String::new(),
+            id => format!("{}/{id}", caller.tenant),
+        };
+        let visibility = uploaded.header.visibility.clone();
         let limits = self.limits.clone();
         let content = self.pool.run(move |_| read::read(uploaded, &limits)).await?.value;
         tell(Progress { stage: "read", fraction: 1.0, message: format!("set-up {}", content.id) });
 
         let id = content.id.clone();
         self.answers().find(&request_id, id.as_str())?;
-        let created = self.find_or_build(content, tell).await?;
+        let setup = self.find_or_build(content, tell).await?;
         self.answers().remember(&request_id, id.as_str(), id.as_str());
-        Ok(created)
+        let (access, built) = self.owners.add(id.as_str(), &caller.tenant, visibility);
+        Ok(Created { setup, access, built })
     }
 
     async fn find_or_build(
         &self,
         content: Content,
         tell: impl FnMut(Progress),
-    ) -> Result<Created, ServiceError> {
+    ) -> Result<Arc<StoredSetup>, ServiceError> {
         let id = content.id.clone();
         let (setups, pool) = (Arc::clone(&self.setups), Arc::clone(&self.pool));
         let land = {
@@ -183,27 +236,98 @@ impl Service {
             Ok(StoredSetup { id, name, engine, functions, build_time: built.ran })
         };
         let joined = self.builds.join(id.clone(), || self.setups.get(id.as_str()), build, land);
-        let (setup, built) = match joined {
-            Joined::Found(setup) => (setup, false),
-            Joined::Following(follower) => (follower.land(tell).await?, false),
-            Joined::Started(follower) => (follower.land(tell).await?, true),
-        };
-        Ok(Created { setup, built })
+        match joined {
+            Joined::Found(setup) => Ok(setup),
+            Joined::Following(follower) | Joined::Started(follower) => follower.land(tell).await,
+        }
     }
 
     /// The set-up of that name.
     ///
     /// # Errors
     /// `NotFound`.
-    pub fn setup(&self, id: &str) -> Result<Arc<StoredSetup>, ServiceError> {
-        self.setups.get(id).ok_or_else(|| ServiceError::not_found("setup", id))
+    pub async fn get_setup(&self, caller: &Principal, id: &str) -> Result<SetupView, ServiceError> {
+        let not_found = || ServiceError::not_found("setup", id);
+        let (_, access) = self.owners.access(id, &caller.tenant).ok_or_else(not_found)?;
+        let setup = self.setups.get(id).ok_or_else(not_found)?;
+        Ok(SetupView { setup, access })
     }
 
-    /// Opens a session on a set-up and returns its id. The same request id again gives the same session.
+    /// The set-ups that the caller may use.
     ///
     /// # Errors
-    /// `NotFound`, `ResourceExhausted`, `AlreadyExists`.
-    pub fn open_session(&self, setup_id: &str, request_id: &str) -> Result<String, ServiceError> {
+    /// `Unavailable` if the store does not answer.
+    pub async fn list_setups(
+        &self,
+        caller: &Principal,
+        page: &Page,
+    ) -> Result<Listed<SetupSummary>, ServiceError> {
+        let mut setups = self.setups.all();
+        setups.sort_by(|a, b| a.id.cmp(&b.id));
+        let visible = setups.iter().filter(|setup| setup.id.as_str() > page.token.as_str());
+        let visible = visible.filter_map(|setup| {
+            let (created, access) = self.owners.access(setup.id.as_str(), &caller.tenant)?;
+            Some(SetupSummary {
+                id: setup.id.to_string(),
+                name: setup.name.clone(),
+                vertices: setup.engine.mesh().vertices.len(),
+                cells: setup.engine.mesh().cells.len(),
+                variables: setup.engine.parameterisation().variables().len(),
+                created,
+                access,
+            })
+        });
+        let mut entries: Vec<SetupSummary> = visible.collect();
+        let size = if page.size == 0 { self.limits.page } else { page.size.min(self.limits.page) };
+        let more = entries.len() > size;
+        entries.truncate(size);
+        let next = entries.last().filter(|_| more).map(|last| last.id.clone());
+        Ok(Listed { entries, next })
+    }
+
+    /// Changes who else may use a set-up of the caller's own.
+    ///
+    /// # Errors
+    /// `NotFound`, `PermissionDenied` to readers.
+    pub async fn share_setup(
+        &self,
+        caller: &Principal,
+        id: &str,
+        visibility: Visibility,
+    ) -> Result<Access, ServiceError> {
+        caller.need(Role::User)?;
+        match self.owners.access(id, &caller.tenant) {
+            Some((_, Access { owned: true, .. })) => {
+                Ok(self.owners.add(id, &caller.tenant, Some(visibility)).0)
+            }
+            _ => Err(ServiceError::not_found("setup", id)),
+        }
+    }
+
+    /// Gives up a set-up of the caller's own. Sessions on it go on.
+    ///
+    /// # Errors
+    /// `NotFound`, `PermissionDenied` to readers.
+    pub async fn delete_setup(&self, caller: &Principal, id: &str) -> Result<(), ServiceError> {
+        caller.need(Role::User)?;
+        match self.owners.remove(id, &caller.tenant) {
+            true => Ok(()),
+            false => Err(ServiceError::not_found("setup", id)),
+        }
+    }
+
+    /// Opens a session on a set-up, at its baseline. The same request id again gives the same session.
+    ///
+    /// # Errors
+    /// `NotFound`, `ResourceExhausted`, `AlreadyExists`, `PermissionDenied` to readers.
+    pub async fn open_session(
+        &self,
+        caller: &Principal,
+        setup_id: &str,
+        label: &str,
+        request_id: &str,
+    ) -> Result<Session, ServiceError> {
+        caller.need(Role::User)?;
         let limit = self.limits.request_id_bytes;
         if request_id.len() > limit {
             let length = request_id.len();
@@ -212,15 +336,64 @@ impl Service {
                 format!("{length} bytes are more than the limit of {limit}"),
             ));
         }
-        self.sessions.open(self.setup(setup_id)?, request_id)
+        let setup = self.get_setup(caller, setup_id).await?.setup;
+        let parameterisation = setup.engine.parameterisation();
+        let design = Resolved::new(parameterisation, Design::default())?.design(parameterisation);
+        self.sessions.open(&caller.tenant, setup, design, label, request_id)
+    }
+
+    /// The session as it was stored last.
+    ///
+    /// # Errors
+    /// `NotFound`.
+    pub async fn get_session(&self, caller: &Principal, id: &str) -> Result<Session, ServiceError> {
+        self.sessions.get(&caller.tenant, id)
+    }
+
+    /// The caller's open sessions.
+    ///
+    /// # Errors
+    /// `Unavailable` if the store does not answer.
+    pub async fn list_sessions(
+        &self,
+        caller: &Principal,
+        page: &Page,
+    ) -> Result<Listed<Session>, ServiceError> {
+        Ok(self.sessions.list(&caller.tenant, page, self.limits.page))
+    }
+
+    /// Stores a session's design.
+    ///
+    /// # Errors
+    /// `NotFound`, `InvalidArgument` naming the entry of the design, `Aborted` if the session is at another generation,
+    /// `PermissionDenied` to readers.
+    pub async fn update_session(
+        &self,
+        caller: &Principal,
+        id: &str,
+        update: SessionUpdate,
+    ) -> Result<Session, ServiceError> {
+        caller.need(Role::User)?;
+        let setup = self.sessions.setup(&caller.tenant, id)?;
+        let parameterisation = setup.engine.parameterisation();
+        let design = update.design.map(|design| Resolved::new(parameterisation, design)).transpose()?;
+        self.sessions.update(&caller.tenant, id, update.expected_generation, |session| {
+            if let Some(design) = design {
+                session.design = Some(design.design(parameterisation));
+            }
+            if let Some(label) = update.label {
+                session.label = label;
+            }
+        })
     }
 
     /// Closes a session.
     ///
     /// # Errors
     /// `NotFound`.
-    pub fn close_session(&self, id: &str) -> Result<(), ServiceError> {
-        self.sessions.close(id)
+    pub async fn close_session(&self, caller: &Principal, id: &str) -> Result<(), ServiceError> {
+        caller.need(Role::User)?;
+        self.sessions.close(&caller.tenant, id)
     }
 
     /// Deforms the session's mesh, and keeps its linearisation. The same set-up and design give the same bits, whoever
@@ -229,8 +402,14 @@ impl Service {
     /// # Errors
     /// `NotFound` for the session, `InvalidArgument` naming the entry of the design, `FailedPrecondition` if the engine
     /// cannot reach it, `ResourceExhausted` if the queue is full.
-    pub async fn deform(&self, session_id: &str, design: Design) -> Result<Arc<Linearised>, ServiceError> {
-        let setup = self.sessions.setup(session_id)?;
+    pub async fn deform(
+        &self,
+        caller: &Principal,
+        session_id: &str,
+        design: Design,
+    ) -> Result<Arc<Linearised>, ServiceError> {
+        caller.need(Role::User)?;
+        let setup = self.sessions.setup(&caller.tenant, session_id)?;
         let design = Resolved::new(setup.engine.parameterisation(), design)?;
         let id = design.id(&setup.id);
         let linearised = Arc::new(linearise(&self.pool, setup, design, id).await?);
@@ -245,14 +424,18 @@ impl Service {
     /// As [`Service::deform`]; `NotFound` for an id that the session does not keep.
     pub async fn linearised(
         &self,
+        caller: &Principal,
         session_id: &str,
         at: At,
     ) -> Result<Product<Arc<Linearised>>, ServiceError> {
-        let setup = self.sessions.setup(session_id)?;
+        caller.need(Role::User)?;
+        let setup = self.sessions.setup(&caller.tenant, session_id)?;
         let found = |value| Product { value, timing: Timing::default() };
-        let design = match at {
-            At::Design(design) => design,
-            At::Id(id) => {
+        at.check()?;
+        let design = match at.design {
+            Some(design) => design,
+            None => {
+                let id = at.id.unwrap_or_default();
                 return self.sessions.find(session_id, &id).map(found).ok_or_else(|| not_kept(&id));
             }
         };
@@ -260,6 +443,11 @@ impl Service {
         let design =
             Resolved::new(setup.engine.parameterisation(), design).map_err(|error| error.within(FIELD))?;
         let id = design.id(&setup.id);
+        if let Some(given) = at.id.filter(|given| *given != id) {
+            let description =
+                format!("`{}` is not the linearisation of the design that came with it", shorten(&given));
+            return Err(ServiceError::invalid("at.linearisation_id", description));
+        }
         let find = || self.sessions.find(session_id, &id);
         let land = {
             let (sessions, session_id) = (Arc::clone(&self.sessions), session_id.to_owned());
@@ -283,13 +471,16 @@ impl Service {
     /// As [`Service::linearised`]; `InvalidArgument` for directions that do not fit.
     pub async fn jvp(
         &self,
+        caller: &Principal,
         session_id: &str,
         at: At,
         directions: Directions,
     ) -> Result<Product<Vec<Tangent>>, ServiceError> {
-        let setup = self.sessions.setup(session_id)?;
+        caller.need(Role::User)?;
+        let setup = self.sessions.setup(&caller.tenant, session_id)?;
+        at.check()?;
         let directions = directions.check(&setup.engine, &self.limits)?;
-        let at = self.linearised(session_id, at).await?;
+        let at = self.linearised(caller, session_id, at).await?;
         self.product(at, move |linearised| linearised.jvp(&directions)).await
     }
 
@@ -299,15 +490,18 @@ impl Service {
     /// As [`Service::linearised`]; `InvalidArgument` for seeds that do not fit.
     pub async fn vjp(
         &self,
+        caller: &Principal,
         session_id: &str,
         at: At,
         seeds: Seeds,
         wanted: Wanted,
     ) -> Result<Product<Gradients>, ServiceError> {
-        let setup = self.sessions.setup(session_id)?;
+        caller.need(Role::User)?;
+        let setup = self.sessions.setup(&caller.tenant, session_id)?;
+        at.check()?;
         let wanted = wanted.check(setup.engine.parameterisation())?;
         let seeds = seeds.check(&setup.engine, &self.limits)?;
-        let at = self.linearised(session_id, at).await?;
+        let at = self.linearised(caller, session_id, at).await?;
         self.product(at, move |linearised| linearised.vjp(&seeds, &wanted)).await
     }
 
@@ -317,13 +511,42 @@ impl Service {
     /// `ResourceExhausted` if the queue is full.
     pub async fn jacobian(
         &self,
+        caller: &Principal,
         at: &Arc<Linearised>,
         first: usize,
     ) -> Result<Product<Vec<Tangent>>, ServiceError> {
+        caller.need(Role::User)?;
         let count = self.limits.vector_bytes / at.vector_bytes().max(1);
         let count = count.clamp(1, self.limits.vectors.max(1));
         let at = Product { value: Arc::clone(at), timing: Timing::default() };
         self.product(at, move |linearised| linearised.jacobian(first, count)).await
+    }
+
+    /// What the service does and holds.
+    ///
+    /// # Errors
+    /// `Unavailable` if the store does not answer.
+    pub async fn status(&self, caller: &Principal) -> Result<Status, ServiceError> {
+        let all_tenants = caller.role >= Role::Admin;
+        let owner = (!all_tenants).then_some(&caller.tenant);
+        let setups = self.setups.all().len();
+        let PoolLimits { running, queued, .. } = self.pool.limits();
+        Ok(Status {
+            version: env!("CARGO_PKG_VERSION"),
+            uptime: self.started.elapsed(),
+            all_tenants,
+            running: self.pool.load().min(running),
+            queued: self.pool.load().saturating_sub(running),
+            running_limit: running,
+            queued_limit: queued,
+            sessions: self.sessions.count(owner),
+            setups_resident: setups,
+            setups_stored: setups,
+            stored_bytes: 0,
+            setup_cache: CacheStatus::default(),
+            linearisation_cache: CacheStatus::default(),
+            work: Vec::new(),
+        })
     }
 
     async fn product<T: Send + 'static>(

@@ -4,13 +4,17 @@
 use std::{
     collections::HashMap,
     sync::{Arc, Mutex, MutexGuard, PoisonError},
+    time::SystemTime,
 };
 
 use uuid::Uuid;
 
 use crate::{
+    access::{self, Listed, Page},
     error::{Code, ServiceError},
     limits::Limits,
+    linearisation::Design,
+    principal::Tenant,
     requests::Answers,
     setups::StoredSetup,
 };
@@ -36,6 +40,8 @@ struct State<T> {
 
 #[derive(Debug)]
 struct Session<T> {
+    owner: Tenant,
+    record: access::Session,
     setup: Arc<StoredSetup>,
     kept: Vec<Kept<T>>,
 }
@@ -65,11 +71,20 @@ impl<T> Sessions<T> {
     ///
     /// # Errors
     /// `ResourceExhausted` if too many are open, `AlreadyExists` if the request id named another set-up.
-    pub fn open(&self, setup: Arc<StoredSetup>, request_id: &str) -> Result<String, ServiceError> {
+    pub fn open(
+        &self,
+        owner: &Tenant,
+        setup: Arc<StoredSetup>,
+        design: Design,
+        label: &str,
+        request_id: &str,
+    ) -> Result<access::Session, ServiceError> {
         let mut state = self.lock();
-        if let Some(session) = state.answers.find(request_id, setup.id.as_str())? {
-            // It may be closed by now; a retry that comes so late gets the same answer, and NotFound when it is used.
-            return Ok(session.to_owned());
+        let key = if request_id.is_empty() { String::new() } else { format!("{owner}/{request_id}") };
+        if let Some(id) = state.answers.find(&key, setup.id.as_str())? {
+            let id = id.to_owned();
+            let open = state.open.get(&id).ok_or_else(|| ServiceError::not_found("session", &id))?;
+            return Ok(open.record.clone());
         }
         if state.open.len() >= self.sessions {
             return Err(ServiceError::new(
@@ -79,27 +94,94 @@ impl<T> Sessions<T> {
         }
         // Not to be guessed, since whoever knows it may use the session.
         let id = Uuid::new_v4().simple().to_string();
-        state.answers.remember(request_id, setup.id.as_str(), &id);
-        state.open.insert(id.clone(), Session { setup, kept: Vec::new() });
-        Ok(id)
+        state.answers.remember(&key, setup.id.as_str(), &id);
+        let now = SystemTime::now();
+        let record = access::Session {
+            id: id.clone(),
+            setup_id: setup.id.to_string(),
+            generation: 1,
+            design: Some(design),
+            label: label.to_owned(),
+            created: now,
+            updated: now,
+        };
+        state
+            .open
+            .insert(id, Session { owner: owner.clone(), record: record.clone(), setup, kept: Vec::new() });
+        Ok(record)
+    }
+
+    /// The session as it was stored last.
+    ///
+    /// # Errors
+    /// `NotFound`.
+    pub fn get(&self, owner: &Tenant, id: &str) -> Result<access::Session, ServiceError> {
+        Ok(self.lock().of(owner, id)?.record.clone())
+    }
+
+    /// The owner's sessions.
+    pub fn list(&self, owner: &Tenant, page: &Page, limit: usize) -> Listed<access::Session> {
+        let size = if page.size == 0 { limit } else { page.size.min(limit) };
+        let state = self.lock();
+        let mut entries: Vec<access::Session> = state
+            .open
+            .values()
+            .filter(|open| open.owner == *owner && open.record.id > page.token)
+            .map(|open| access::Session { design: None, ..open.record.clone() })
+            .collect();
+        entries.sort_by(|a, b| a.id.cmp(&b.id));
+        let more = entries.len() > size;
+        entries.truncate(size);
+        let next = entries.last().filter(|_| more).map(|last| last.id.clone());
+        Listed { entries, next }
+    }
+
+    /// Stores what `change` makes of the session.
+    ///
+    /// # Errors
+    /// `NotFound`, `Aborted` if it is not at the generation `expected`.
+    pub fn update(
+        &self,
+        owner: &Tenant,
+        id: &str,
+        expected: u64,
+        change: impl FnOnce(&mut access::Session),
+    ) -> Result<access::Session, ServiceError> {
+        let mut state = self.lock();
+        let record = &mut state.of_mut(owner, id)?.record;
+        if record.generation != expected {
+            let found = record.generation;
+            return Err(ServiceError::new(Code::Aborted, "").at(
+                "expected_generation",
+                format!("{expected} is not the session's generation {found}; read the session again"),
+            ));
+        }
+        change(record);
+        record.generation += 1;
+        record.updated = SystemTime::now();
+        Ok(record.clone())
     }
 
     /// The session's set-up.
     ///
     /// # Errors
     /// `NotFound`.
-    pub fn setup(&self, id: &str) -> Result<Arc<StoredSetup>, ServiceError> {
-        let state = self.lock();
-        let session = state.open.get(id).ok_or_else(|| ServiceError::not_found("session", id))?;
-        Ok(Arc::clone(&session.setup))
+    pub fn setup(&self, owner: &Tenant, id: &str) -> Result<Arc<StoredSetup>, ServiceError> {
+        Ok(Arc::clone(&self.lock().of(owner, id)?.setup))
+    }
+
+    /// Open sessions of `owner`, or of all.
+    pub fn count(&self, owner: Option<&Tenant>) -> usize {
+        self.lock().open.values().filter(|open| owner.is_none_or(|owner| open.owner == *owner)).count()
     }
 
     /// Closes a session and lets go of what it keeps. What it computes ends undisturbed.
     ///
     /// # Errors
     /// `NotFound`.
-    pub fn close(&self, id: &str) -> Result<(), ServiceError> {
+    pub fn close(&self, owner: &Tenant, id: &str) -> Result<(), ServiceError> {
         let mut state = self.lock();
+        state.of(owner, id)?;
         let closed = state.open.remove(id).ok_or_else(|| ServiceError::not_found("session", id))?;
         state.bytes -= closed.kept.iter().map(|kept| kept.bytes).sum::<usize>();
         drop(state);
@@ -150,6 +232,16 @@ impl<T> Sessions<T> {
 }
 
 impl<T> State<T> {
+    fn of(&self, owner: &Tenant, id: &str) -> Result<&Session<T>, ServiceError> {
+        let open = self.open.get(id).filter(|open| open.owner == *owner);
+        open.ok_or_else(|| ServiceError::not_found("session", id))
+    }
+
+    fn of_mut(&mut self, owner: &Tenant, id: &str) -> Result<&mut Session<T>, ServiceError> {
+        let open = self.open.get_mut(id).filter(|open| open.owner == *owner);
+        open.ok_or_else(|| ServiceError::not_found("session", id))
+    }
+
     fn tick(&mut self) -> u64 {
         self.clock += 1;
         self.clock

@@ -1,14 +1,19 @@
 //! Set-ups in memory, by the hash of their content.
 
 use std::{
+    collections::BTreeMap,
     fmt,
     sync::{Arc, Mutex, MutexGuard, PoisonError},
-    time::Duration,
+    time::{Duration, SystemTime},
 };
 
 use moldline_deform::Setup;
 
-use crate::error::{Code, ServiceError};
+use crate::{
+    access::{Access, Visibility},
+    error::{Code, ServiceError},
+    principal::Tenant,
+};
 
 /// Name of a set-up: the hash of its content in hexadecimal digits.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -54,6 +59,50 @@ impl StoredSetup {
     }
 }
 
+/// Who owns which set-up, and who else may use it.
+#[derive(Debug, Default)]
+pub struct Owners(Mutex<BTreeMap<(String, Tenant), (SystemTime, Visibility)>>);
+
+impl Owners {
+    /// Makes `owner` an owner; whether it is new to it. `visibility` replaces what was chosen before.
+    pub fn add(&self, id: &str, owner: &Tenant, visibility: Option<Visibility>) -> (Access, bool) {
+        let mut owners = self.lock();
+        let key = (id.to_owned(), owner.clone());
+        let new = !owners.contains_key(&key);
+        let entry = owners.entry(key).or_insert((SystemTime::now(), Visibility::Private));
+        if let Some(visibility) = visibility {
+            entry.1 = visibility;
+        }
+        (Access { owned: true, visibility: entry.1.clone() }, new)
+    }
+
+    /// No longer an owner; whether it was one.
+    pub fn remove(&self, id: &str, owner: &Tenant) -> bool {
+        self.lock().remove(&(id.to_owned(), owner.clone())).is_some()
+    }
+
+    /// What the set-up is to `tenant`, and since when; `None` if it may not use it.
+    pub fn access(&self, id: &str, tenant: &Tenant) -> Option<(SystemTime, Access)> {
+        let owners = self.lock();
+        if let Some((since, visibility)) = owners.get(&(id.to_owned(), tenant.clone())) {
+            return Some((*since, Access { owned: true, visibility: visibility.clone() }));
+        }
+        owners.iter().filter(|((of, _), _)| of == id).find_map(|(_, (since, visibility))| {
+            let visibility = match visibility {
+                Visibility::Private => return None,
+                Visibility::Tenants(tenants) if !tenants.contains(tenant) => return None,
+                Visibility::Tenants(_) => Visibility::Tenants([tenant.clone()].into()),
+                Visibility::Public => Visibility::Public,
+            };
+            Some((*since, Access { owned: false, visibility }))
+        })
+    }
+
+    fn lock(&self) -> MutexGuard<'_, BTreeMap<(String, Tenant), (SystemTime, Visibility)>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
 /// All set-ups in memory, at most a given number.
 #[derive(Debug)]
 pub struct Setups {
@@ -95,6 +144,11 @@ impl Setups {
             tracing::info!(setup = %dropped.id, "dropped a set-up that no session uses");
         }
         Ok(())
+    }
+
+    /// All that are in memory.
+    pub fn all(&self) -> Vec<Arc<StoredSetup>> {
+        self.lock().clone()
     }
 
     /// Adds a set-up.

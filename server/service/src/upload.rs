@@ -5,6 +5,7 @@ use std::collections::HashSet;
 use moldline_setup::ArchiveKind;
 
 use crate::{
+    access::Visibility,
     error::{ServiceError, shorten},
     limits::Limits,
 };
@@ -16,6 +17,8 @@ pub struct UploadHeader {
     pub request_id: String,
     /// The file that describes the set-up; found by its usual names if `None`.
     pub setup_file: Option<String>,
+    /// Who else may use it; `None`: nobody if it is new to the caller, as it was if it is not.
+    pub visibility: Option<Visibility>,
     /// What follows.
     pub source: UploadSource,
 }
@@ -185,7 +188,8 @@ mod tests {
 
     fn header(files: &[(&str, u64)]) -> UploadHeader {
         let files = files.iter().map(|&(path, size)| FileEntry { path: path.to_owned(), size }).collect();
-        UploadHeader { request_id: String::new(), setup_file: None, source: UploadSource::Files(files) }
+        let source = UploadSource::Files(files);
+        UploadHeader { request_id: String::new(), setup_file: None, visibility: None, source }
     }
 
     fn field(result: Result<impl std::fmt::Debug, ServiceError>) -> String {

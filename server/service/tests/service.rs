@@ -8,17 +8,32 @@ use std::{
     time::Duration,
 };
 
+use moldline_deform::Setup;
 use moldline_service::{
-    At, Code, ControlPointVectors, Design, Directions, FileEntry, Limits, PoolLimits, Seeds, Service,
-    ServiceError, Upload, UploadHeader, UploadSource, Uploaded, Values, Wanted,
+    At, Code, ControlPointVectors, Design, Directions, FileEntry, Limits, PoolLimits, Principal, Seeds,
+    Service, ServiceError, Upload, UploadHeader, UploadSource, Uploaded, Values, Wanted,
 };
 
 fn service(threads: usize, limits: Limits) -> Service {
     Service::new(PoolLimits { threads, running: threads, queued: 16 }, limits).unwrap()
 }
 
+fn local() -> Principal {
+    Principal::local()
+}
+
+/// Opens a session.
+async fn open(service: &Service, setup: &str) -> String {
+    service.open_session(&local(), setup, "", "").await.unwrap().id
+}
+
+/// The engine's set-up.
+async fn engine(service: &Service, setup: &str) -> Arc<Setup> {
+    Arc::clone(&service.get_setup(&local(), setup).await.unwrap().setup.engine)
+}
+
 async fn create(service: &Service, title: &str) -> Result<String, ServiceError> {
-    let created = service.create_setup(uploaded("", &ball::setup_file(title)), |_| {}).await?;
+    let created = service.create_setup(&local(), uploaded("", &ball::setup_file(title)), |_| {}).await?;
     Ok(created.setup.id.to_string())
 }
 
@@ -30,7 +45,7 @@ fn moved(x: f64) -> Design {
 fn header(request_id: &str, file: &str) -> UploadHeader {
     let entry = FileEntry { path: "setup.json".to_owned(), size: file.len() as u64 };
     let source = UploadSource::Files(vec![entry]);
-    UploadHeader { request_id: request_id.to_owned(), setup_file: None, source }
+    UploadHeader { request_id: request_id.to_owned(), setup_file: None, visibility: None, source }
 }
 
 /// The upload of one set-up file.
@@ -46,14 +61,15 @@ async fn a_set_up_is_built_once_and_told_in_order() {
     let service = service(2, Limits::default());
     let file = ball::setup_file("ball");
     let mut stages = Vec::new();
-    let first = service.create_setup(uploaded("", &file), |step| stages.push(step.stage)).await.unwrap();
+    let first =
+        service.create_setup(&local(), uploaded("", &file), |step| stages.push(step.stage)).await.unwrap();
     stages.dedup();
     assert!(first.built);
     assert_eq!(first.setup.name, "ball");
     assert_eq!(stages[..2], ["read", "mesh"]);
     assert_eq!(stages.last(), Some(&"report"));
 
-    let again = service.create_setup(uploaded("", &file), |_| {}).await.unwrap();
+    let again = service.create_setup(&local(), uploaded("", &file), |_| {}).await.unwrap();
     assert!(!again.built);
     assert!(Arc::ptr_eq(&first.setup, &again.setup), "memory is shared");
     assert_ne!(create(&service, "another").await.unwrap(), first.setup.id.as_str());
@@ -65,7 +81,9 @@ async fn all_who_ask_at_the_same_time_get_one_build() {
     let file = ball::setup_file("ball");
     let builds = (0..8).map(|_| {
         let (service, file) = (Arc::clone(&service), file.clone());
-        tokio::spawn(async move { service.create_setup(uploaded("", &file), |_| {}).await.unwrap() })
+        tokio::spawn(
+            async move { service.create_setup(&local(), uploaded("", &file), |_| {}).await.unwrap() },
+        )
     });
     let mut built = 0;
     let mut ids = Vec::new();
@@ -85,7 +103,12 @@ async fn giving_up_on_a_build_leaves_nothing_behind() {
     let told = Arc::new(Mutex::new(0));
     let build = tokio::spawn({
         let (service, file, told) = (Arc::clone(&service), file.clone(), Arc::clone(&told));
-        async move { service.create_setup(uploaded("", &file), |_| *told.lock().unwrap() += 1).await.map(drop) }
+        async move {
+            service
+                .create_setup(&local(), uploaded("", &file), |_| *told.lock().unwrap() += 1)
+                .await
+                .map(drop)
+        }
     });
     while *told.lock().unwrap() == 0 {
         tokio::task::yield_now().await;
@@ -104,9 +127,9 @@ async fn deform_gives_the_engines_bits_whatever_the_number_of_threads() {
     for threads in [1, 2, 3] {
         let service = service(threads, Limits::default());
         let setup = create(&service, "ball").await.unwrap();
-        let session = service.open_session(&setup, "").unwrap();
-        let deformed = service.deform(&session, moved(1.5)).await.unwrap();
-        let direct = service.setup(&setup).unwrap().engine.deform(&[1.5], &moldline_deform::Silent).unwrap();
+        let session = open(&service, &setup).await;
+        let deformed = service.deform(&local(), &session, moved(1.5)).await.unwrap();
+        let direct = engine(&service, &setup).await.deform(&[1.5], &moldline_deform::Silent).unwrap();
         assert_eq!(deformed.deformation().vertices, direct.vertices);
         results.push((deformed.deformation().vertices.clone(), deformed.id().to_owned()));
     }
@@ -122,11 +145,11 @@ async fn deform_gives_the_engines_bits_whatever_the_number_of_threads() {
 async fn control_points_take_the_place_of_a_component() {
     let service = service(2, Limits::default());
     let setup = create(&service, "ball").await.unwrap();
-    let session = service.open_session(&setup, "").unwrap();
-    let points = service.setup(&setup).unwrap().engine.parameterisation().control_points(&[0.75]).unwrap();
+    let session = open(&service, &setup).await;
+    let points = engine(&service, &setup).await.parameterisation().control_points(&[0.75]).unwrap();
     let design = Design { control_points: vec![("ball".to_owned(), points[0].clone())], ..Design::default() };
-    let given = service.deform(&session, design).await.unwrap();
-    let own = service.deform(&session, moved(0.75)).await.unwrap();
+    let given = service.deform(&local(), &session, design).await.unwrap();
+    let own = service.deform(&local(), &session, moved(0.75)).await.unwrap();
     assert_eq!(given.deformation().vertices, own.deformation().vertices);
     assert_ne!(given.id(), own.id());
 }
@@ -134,7 +157,7 @@ async fn control_points_take_the_place_of_a_component() {
 #[tokio::test]
 async fn bad_designs_are_refused_by_entry() {
     let service = service(1, Limits::default());
-    let session = service.open_session(&create(&service, "ball").await.unwrap(), "").unwrap();
+    let session = open(&service, &create(&service, "ball").await.unwrap()).await;
     let named = |name: &str| Design {
         values: Values::Named([(name.to_owned(), 0.0)].into()),
         control_points: Vec::new(),
@@ -153,7 +176,7 @@ async fn bad_designs_are_refused_by_entry() {
             "control_points[0]",
         ),
     ] {
-        let error = service.deform(&session, design).await.unwrap_err();
+        let error = service.deform(&local(), &session, design).await.unwrap_err();
         assert_eq!((error.code, error.violations[0].field.as_str()), (Code::InvalidArgument, field));
     }
 }
@@ -163,41 +186,45 @@ async fn set_ups_beyond_the_limit_push_out_idle_ones_only() {
     let service = service(1, Limits { setups: 2, ..Limits::default() });
     let first = create(&service, "first").await.unwrap();
     let second = create(&service, "second").await.unwrap();
-    let session = service.open_session(&first, "").unwrap();
+    let session = open(&service, &first).await;
     create(&service, "third").await.unwrap();
-    assert!(service.setup(&first).is_ok(), "in use, though used least recently");
-    assert_eq!(service.setup(&second).unwrap_err().code, Code::NotFound);
+    assert!(service.get_setup(&local(), &first).await.is_ok(), "in use, though used least recently");
+    assert_eq!(service.get_setup(&local(), &second).await.unwrap_err().code, Code::NotFound);
 
     let third = create(&service, "third").await.unwrap();
-    let other = service.open_session(&third, "").unwrap();
+    let other = open(&service, &third).await;
     assert_eq!(create(&service, "fourth").await.unwrap_err().code, Code::ResourceExhausted);
-    service.close_session(&other).unwrap();
+    service.close_session(&local(), &other).await.unwrap();
     create(&service, "fourth").await.unwrap();
-    service.deform(&session, moved(0.5)).await.unwrap();
+    service.deform(&local(), &session, moved(0.5)).await.unwrap();
 }
 
 #[tokio::test]
 async fn sessions_have_a_limit_and_request_ids() {
     let service = service(1, Limits { sessions: 2, ..Limits::default() });
     let (setup, other) = (create(&service, "ball").await.unwrap(), create(&service, "other").await.unwrap());
-    let first = service.open_session(&setup, "a").unwrap();
-    assert_eq!(service.open_session(&setup, "a").unwrap(), first);
-    assert_eq!(service.open_session(&other, "a").unwrap_err().code, Code::AlreadyExists);
-    service.open_session(&setup, "").unwrap();
-    assert_eq!(service.open_session(&setup, "").unwrap_err().code, Code::ResourceExhausted);
-    service.close_session(&first).unwrap();
-    assert_eq!(service.close_session(&first).unwrap_err().code, Code::NotFound);
-    service.open_session(&setup, "").unwrap();
+    let opened = service.open_session(&local(), &setup, "mine", "a").await.unwrap();
+    assert_eq!(service.open_session(&local(), &setup, "mine", "a").await.unwrap(), opened);
+    let first = opened.id;
+    assert_eq!(service.open_session(&local(), &other, "", "a").await.unwrap_err().code, Code::AlreadyExists);
+    open(&service, &setup).await;
+    assert_eq!(
+        service.open_session(&local(), &setup, "", "").await.unwrap_err().code,
+        Code::ResourceExhausted
+    );
+    service.close_session(&local(), &first).await.unwrap();
+    assert_eq!(service.close_session(&local(), &first).await.unwrap_err().code, Code::NotFound);
+    open(&service, &setup).await;
 }
 
 #[tokio::test]
 async fn a_request_id_names_one_upload() {
     let service = service(1, Limits::default());
     let upload = |title| uploaded("id", &ball::setup_file(title));
-    let first = service.create_setup(upload("ball"), |_| {}).await.unwrap();
-    let retry = service.create_setup(upload("ball"), |_| {}).await.unwrap();
+    let first = service.create_setup(&local(), upload("ball"), |_| {}).await.unwrap();
+    let retry = service.create_setup(&local(), upload("ball"), |_| {}).await.unwrap();
     assert_eq!(first.setup.id, retry.setup.id);
-    let error = service.create_setup(upload("other"), |_| {}).await.unwrap_err();
+    let error = service.create_setup(&local(), upload("other"), |_| {}).await.unwrap_err();
     assert_eq!(error.code, Code::AlreadyExists);
 }
 
@@ -205,12 +232,12 @@ async fn a_request_id_names_one_upload() {
 async fn uploads_at_a_time_have_a_limit() {
     let service = service(1, Limits { uploads: 1, ..Limits::default() });
     let file = ball::setup_file("ball");
-    let receiving = service.receive(header("", &file)).unwrap();
-    let error = service.receive(header("", &file)).unwrap_err();
+    let receiving = service.receive(&local(), header("", &file)).unwrap();
+    let error = service.receive(&local(), header("", &file)).unwrap_err();
     assert_eq!(error.code, Code::ResourceExhausted);
     assert!(error.retry_after.is_some());
     drop(receiving);
-    assert!(service.receive(header("", &file)).is_ok());
+    assert!(service.receive(&local(), header("", &file)).is_ok());
 }
 
 fn along(x: f64) -> Directions {
@@ -227,18 +254,19 @@ fn first_x(vertices: usize) -> Seeds {
 #[tokio::test]
 async fn products_are_those_of_a_ball_that_moves() {
     let service = service(2, Limits::default());
-    let session = service.open_session(&create(&service, "ball").await.unwrap(), "").unwrap();
-    let deformed = service.deform(&session, moved(0.5)).await.unwrap();
+    let session = open(&service, &create(&service, "ball").await.unwrap()).await;
+    let deformed = service.deform(&local(), &session, moved(0.5)).await.unwrap();
     let vertices = deformed.deformation().vertices.len();
-    for at in [At::Id(deformed.id().to_owned()), At::Design(moved(0.5)), At::Design(moved(-0.25))] {
-        let tangents = service.jvp(&session, at.clone(), along(2.0)).await.unwrap().value;
+    for at in [At::id(deformed.id()), At::design(moved(0.5)), At::design(moved(-0.25))] {
+        let tangents = service.jvp(&local(), &session, at.clone(), along(2.0)).await.unwrap().value;
         for [x, y, z] in &tangents[0].vertices {
             assert!((x - 2.0).abs() < 1e-12 && y.abs() < 1e-12 && z.abs() < 1e-12);
         }
         // The volume of a ball does not depend on where it is.
         assert!(tangents[0].functions.iter().all(|change| change.abs() < 1e-10));
         let wanted = Wanted { design: true, control_points: vec!["ball".to_owned()] };
-        let gradients = service.vjp(&session, at.clone(), first_x(vertices), wanted).await.unwrap().value;
+        let gradients =
+            service.vjp(&local(), &session, at.clone(), first_x(vertices), wanted).await.unwrap().value;
         assert!((gradients.design.unwrap()[0][0] - 1.0).abs() < 1e-12);
         let by_points = &gradients.control_points[0].vectors[0];
         assert!((by_points.iter().map(|point| point[0]).sum::<f64>() - 1.0).abs() < 1e-12);
@@ -248,12 +276,12 @@ async fn products_are_those_of_a_ball_that_moves() {
             design: None,
             control_points: vec![ControlPointVectors { component: "ball".to_owned(), vectors }],
         };
-        let by_points = service.jvp(&session, at.clone(), directions).await.unwrap().value;
+        let by_points = service.jvp(&local(), &session, at.clone(), directions).await.unwrap().value;
         for (a, b) in by_points[0].vertices.iter().zip(&tangents[0].vertices) {
             assert!((0..3).all(|axis| (a[axis] - b[axis]).abs() < 1e-12));
         }
-        let at = service.linearised(&session, at).await.unwrap().value;
-        let columns = service.jacobian(&at, 0).await.unwrap().value;
+        let at = service.linearised(&local(), &session, at).await.unwrap().value;
+        let columns = service.jacobian(&local(), &at, 0).await.unwrap().value;
         assert_eq!(columns.len(), 1);
         assert!((columns[0].vertices[0][0] - 1.0).abs() < 1e-12);
     }
@@ -263,66 +291,69 @@ async fn products_are_those_of_a_ball_that_moves() {
 async fn a_session_keeps_what_it_used_last() {
     let service = service(1, Limits { linearisations: 2, ..Limits::default() });
     let setup = create(&service, "ball").await.unwrap();
-    let session = service.open_session(&setup, "").unwrap();
+    let session = open(&service, &setup).await;
     let mut ids = Vec::new();
     for x in [0.1, 0.2] {
-        ids.push(service.deform(&session, moved(x)).await.unwrap().id().to_owned());
+        ids.push(service.deform(&local(), &session, moved(x)).await.unwrap().id().to_owned());
     }
-    let product = |id: &str| service.jvp(&session, At::Id(id.to_owned()), along(1.0));
+    let caller = local();
+    let product = |id: &str| service.jvp(&caller, &session, At::id(id), along(1.0));
     let before = product(&ids[0]).await.unwrap().value;
-    service.deform(&session, moved(0.3)).await.unwrap();
+    service.deform(&local(), &session, moved(0.3)).await.unwrap();
     assert_eq!(product(&ids[0]).await.unwrap().value, before, "used after the second one");
     let error = product(&ids[1]).await.unwrap_err();
     assert_eq!((error.code, error.violations[0].field.as_str()), (Code::NotFound, "at.linearisation_id"));
-    assert!(service.jvp(&session, At::Design(moved(0.2)), along(1.0)).await.is_ok());
+    assert!(service.jvp(&local(), &session, At::design(moved(0.2)), along(1.0)).await.is_ok());
     assert!(product(&ids[1]).await.is_ok(), "it was made again, and is kept");
 
-    let other = service.open_session(&setup, "").unwrap();
-    let error = service.jvp(&other, At::Id(ids[1].clone()), along(1.0)).await.unwrap_err();
+    let other = open(&service, &setup).await;
+    let error = service.jvp(&local(), &other, At::id(ids[1].clone()), along(1.0)).await.unwrap_err();
     assert_eq!(error.code, Code::NotFound, "another session's");
-    service.close_session(&session).unwrap();
+    service.close_session(&local(), &session).await.unwrap();
     assert_eq!(product(&ids[1]).await.unwrap_err().violations[0].field, "session_id");
 }
 
 #[tokio::test]
 async fn all_sessions_together_keep_so_many_bytes() {
     let unbounded = service(1, Limits::default());
-    let session = unbounded.open_session(&create(&unbounded, "ball").await.unwrap(), "").unwrap();
-    let bytes = unbounded.deform(&session, moved(0.1)).await.unwrap().bytes();
+    let session = open(&unbounded, &create(&unbounded, "ball").await.unwrap()).await;
+    let bytes = unbounded.deform(&local(), &session, moved(0.1)).await.unwrap().bytes();
 
     let service = service(1, Limits { linearisation_bytes: 2 * bytes + bytes / 2, ..Limits::default() });
     let setup = create(&service, "ball").await.unwrap();
-    let sessions = [service.open_session(&setup, "").unwrap(), service.open_session(&setup, "").unwrap()];
-    let first = service.deform(&sessions[0], moved(0.1)).await.unwrap().id().to_owned();
-    let second = service.deform(&sessions[1], moved(0.2)).await.unwrap().id().to_owned();
+    let sessions = [open(&service, &setup).await, open(&service, &setup).await];
+    let first = service.deform(&local(), &sessions[0], moved(0.1)).await.unwrap().id().to_owned();
+    let second = service.deform(&local(), &sessions[1], moved(0.2)).await.unwrap().id().to_owned();
     let kept = async |session: usize, id: &str| {
-        service.linearised(&sessions[session], At::Id(id.to_owned())).await.is_ok()
+        service.linearised(&local(), &sessions[session], At::id(id)).await.is_ok()
     };
     assert!(kept(0, &first).await);
-    let third = service.deform(&sessions[1], moved(0.3)).await.unwrap().id().to_owned();
+    let third = service.deform(&local(), &sessions[1], moved(0.3)).await.unwrap().id().to_owned();
     assert!(kept(0, &first).await);
     assert!(!kept(1, &second).await, "used least recently of all");
     assert!(kept(1, &third).await);
     // What is let go of with a session makes room.
-    service.close_session(&sessions[0]).unwrap();
-    let fourth = service.deform(&sessions[1], moved(0.4)).await.unwrap().id().to_owned();
+    service.close_session(&local(), &sessions[0]).await.unwrap();
+    let fourth = service.deform(&local(), &sessions[1], moved(0.4)).await.unwrap().id().to_owned();
     assert!(kept(1, &third).await && kept(1, &fourth).await);
 }
 
 #[tokio::test]
 async fn products_at_the_same_design_share_one_linearisation() {
     let service = Arc::new(service(2, Limits::default()));
-    let session = service.open_session(&create(&service, "ball").await.unwrap(), "").unwrap();
+    let session = open(&service, &create(&service, "ball").await.unwrap()).await;
     let asked = (0..8).map(|_| {
         let (service, session) = (Arc::clone(&service), session.clone());
-        tokio::spawn(async move { service.linearised(&session, At::Design(moved(0.5))).await.unwrap().value })
+        tokio::spawn(async move {
+            service.linearised(&local(), &session, At::design(moved(0.5))).await.unwrap().value
+        })
     });
     let mut made = Vec::new();
     for one in asked.collect::<Vec<_>>() {
         made.push(one.await.unwrap());
     }
     assert!(made.iter().all(|other| Arc::ptr_eq(other, &made[0])));
-    let again = service.deform(&session, moved(0.5)).await.unwrap();
+    let again = service.deform(&local(), &session, moved(0.5)).await.unwrap();
     assert_eq!(again.deformation().vertices, made[0].deformation().vertices);
     assert_eq!(again.id(), made[0].id());
 }
@@ -330,9 +361,9 @@ async fn products_at_the_same_design_share_one_linearisation() {
 #[tokio::test]
 async fn a_block_of_the_jacobian_and_the_vectors_of_a_request_have_limits() {
     let service = service(1, Limits { vectors: 2, ..Limits::default() });
-    let session = service.open_session(&create(&service, "ball").await.unwrap(), "").unwrap();
+    let session = open(&service, &create(&service, "ball").await.unwrap()).await;
     let directions = Directions { design: Some(vec![vec![1.0]; 3]), control_points: Vec::new() };
-    let error = service.jvp(&session, At::Design(moved(0.0)), directions).await.unwrap_err();
+    let error = service.jvp(&local(), &session, At::design(moved(0.0)), directions).await.unwrap_err();
     assert_eq!((error.code, error.violations[0].field.as_str()), (Code::InvalidArgument, "design.shape[0]"));
     assert!(error.message.contains('3') && error.message.contains("1..=2"));
     assert_eq!(service.load(), 0, "refused before any work");

@@ -7,25 +7,13 @@
         gradient = session.vjp(functions={"enclosed_volume": 1.0}, at=result).design
 
 Vertices are float64 arrays of shape (n, 3) in metres; designs are float64 arrays of shape (number of variables,),
-each entry in its variable's unit.
+each entry in its variable's unit. :mod:`moldline.aio` is the same for asyncio.
 """
 
-from moldline.client import (
-    Client,
-    Deformation,
-    DesignPoint,
-    Function,
-    Gradients,
-    Jacobian,
-    Linearisation,
-    Progress,
-    Session,
-    Setup,
-    Tangents,
-    Variable,
-    VariableGroup,
-)
+from moldline.client import Client, Session, Setup
+from moldline.connection import TLS
 from moldline.errors import (
+    Aborted,
     AlreadyExists,
     Cancelled,
     DeadlineExceeded,
@@ -36,14 +24,40 @@ from moldline.errors import (
     MoldlineError,
     NotFound,
     OutOfRange,
+    PermissionDenied,
     ResourceExhausted,
+    Unauthenticated,
     Unavailable,
 )
 from moldline.mesh import Mesh, write_vtu
+from moldline.model import (
+    At,
+    CacheStatus,
+    Deformation,
+    DesignPoint,
+    Function,
+    Gradients,
+    Jacobian,
+    Linearisation,
+    Progress,
+    SessionState,
+    SetupAccess,
+    SetupSummary,
+    Status,
+    Tangents,
+    Variable,
+    VariableGroup,
+    Visibility,
+    Work,
+)
 from moldline.quality import Distribution, QualityReport, QualitySummary
+from moldline.retry import Retry
 
 __all__ = [
+    "Aborted",
     "AlreadyExists",
+    "At",
+    "CacheStatus",
     "Cancelled",
     "Client",
     "DeadlineExceeded",
@@ -62,15 +76,25 @@ __all__ = [
     "MoldlineError",
     "NotFound",
     "OutOfRange",
+    "PermissionDenied",
     "Progress",
     "QualityReport",
     "QualitySummary",
     "ResourceExhausted",
+    "Retry",
     "Session",
+    "SessionState",
     "Setup",
+    "SetupAccess",
+    "SetupSummary",
+    "Status",
+    "TLS",
     "Tangents",
+    "Unauthenticated",
     "Unavailable",
     "Variable",
     "VariableGroup",
+    "Visibility",
+    "Work",
     "write_vtu",
 ]

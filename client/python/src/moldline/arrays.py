@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from moldline.errors import InternalError
 from moldline.v1 import array_pb2
@@ -26,7 +26,9 @@ def from_wire(array: array_pb2.Array) -> NDArray[Any]:
         raise InternalError(f"the server sent an array that contradicts itself: {error}") from None
 
 
-def to_wire(values: Any) -> array_pb2.Array:
-    """`values` as a float64 message of the same shape."""
+def write(values: ArrayLike, message: array_pb2.Array) -> None:
+    """Writes `values` as float64 of the same shape."""
     values = np.ascontiguousarray(values, dtype="<f8")
-    return array_pb2.Array(dtype=array_pb2.DATA_TYPE_FLOAT64, shape=values.shape, data=values.tobytes())
+    message.dtype = array_pb2.DATA_TYPE_FLOAT64
+    message.shape.extend(values.shape)
+    message.data = values.tobytes()

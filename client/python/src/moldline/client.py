@@ -1,235 +1,123 @@
-"""Client, set-ups and sessions."""
+"""Client, set-ups and sessions, for code that waits. :mod:`moldline.aio` has the same for asyncio."""
 
 from __future__ import annotations
 
-import json
+import math
 import os
-import uuid
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+import time
+from collections.abc import Iterable, Mapping
+from contextlib import closing
 from functools import cached_property
 from types import TracebackType
-from typing import Any
+from typing import Any, TypeVar
 
 import grpc
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from tqdm import tqdm
 
-from moldline import arrays, upload
-from moldline.errors import InternalError, NotFound, translated
+from moldline import connection, operations
+from moldline.connection import TLS
+from moldline.errors import MoldlineError, translated
+from moldline.facts import SessionFacts, SetupFacts
 from moldline.mesh import Mesh
-from moldline.quality import QualityReport, report_from_wire
+from moldline.model import (
+    At,
+    Deformation,
+    Gradients,
+    Jacobian,
+    SessionState,
+    SetupSummary,
+    Status,
+    Tangents,
+    Visibility,
+)
+from moldline.operations import Call, Operation
+from moldline.progress import Tell, told
+from moldline.retry import Attempts, Deadline, Retry
 from moldline.v1 import mesh_service_pb2 as wire
 from moldline.v1 import mesh_service_pb2_grpc
 
-_MAX_MESSAGE = 512 << 20
-#: Vectors and bytes of one request, within the server's usual limits; larger blocks go in several requests.
-_VECTORS = 64
-_REQUEST = 32 << 20
-
-
-@dataclass(frozen=True)
-class Progress:
-    """How far the creation of a set-up has come."""
-
-    #: `receive`, `read`, and then the engine's stages.
-    stage: str
-    #: Share of the stage, 0 to 1.
-    fraction: float
-    #: For people.
-    message: str
-
-
-@dataclass(frozen=True)
-class Variable:
-    """One scalar design variable."""
-
-    #: Such as ``wing.twist[3]``.
-    name: str
-    #: Of the three numbers and of its entry in a design, such as ``m`` or ``deg``.
-    unit: str
-    baseline: float
-    #: Bounds; may be infinite.
-    lower: float
-    upper: float
-
-
-@dataclass(frozen=True)
-class VariableGroup:
-    """Variables that were declared together."""
-
-    name: str
-    #: Their entries of a design.
-    entries: slice
-    #: Empty for a scalar.
-    shape: tuple[int, ...]
-
-
-@dataclass(frozen=True)
-class Function:
-    """A scalar output besides the vertices."""
-
-    #: Such as ``wing.wetted_area``.
-    name: str
-    #: Such as ``m^2``.
-    unit: str
-    #: For the reference mesh.
-    value: float
-
-
-@dataclass(frozen=True)
-class DesignPoint:
-    """A design as it was asked for: the arguments of :meth:`Session.deform`."""
-
-    design: Mapping[str, float] | ArrayLike | None = None
-    control_points: Mapping[str, ArrayLike] | None = None
-
-
-@dataclass(frozen=True)
-class Linearisation:
-    """Where a derivative is taken: what the session keeps of a deformation, and the design to make it again."""
-
-    #: The same for the same set-up and design, on any server.
-    id: str
-    #: Copies of the arrays that were asked for.
-    point: DesignPoint
-
-
-@dataclass(frozen=True)
-class Deformation:
-    """A deformed mesh."""
-
-    #: float64, (n, 3), metres, in the set-up mesh's order; read-only, its memory is the message's.
-    vertices: NDArray[np.float64]
-    #: The scalar outputs by name, each in its unit (:attr:`Setup.functions`).
-    functions: dict[str, float]
-    #: For derivatives here: the `at` of :meth:`Session.jvp`, :meth:`Session.vjp` and :meth:`Session.jacobian`.
-    linearisation: Linearisation
-    #: Measures of the deformed mesh.
-    quality: QualityReport
-    #: Measures of every cell, float64, (m,), by name (`aspect_ratio`, `edge_ratio`, `scaled_jacobian`, `skew`); only if
-    #: asked for.
-    cell_quality: dict[str, NDArray[np.float64]] | None
-    #: Largest distance of a seam vertex from one of its components before the smooth projection, metres.
-    seam_residual: float
-    #: Largest distance of a protected or stationary vertex from a component that it lies on, metres.
-    held_residual: float
-    #: Largest |Phi| of an active vertex at the end, metres; 0 for a sharp outer mold line.
-    projection_residual: float
-    #: Most projection steps that a vertex took.
-    projection_steps: int
-    #: Seconds that the engine took.
-    engine_seconds: float
-    #: Seconds that the request waited for the engine.
-    queue_seconds: float
-
-    @property
-    def linearisation_id(self) -> str:
-        """Names this set-up and design in requests for derivatives."""
-        return self.linearisation.id
-
-
-#: Where a derivative is taken: what `deform` returned, its `linearisation` or the latter's id, a design as `deform` takes
-#: it, or a :class:`DesignPoint`; `None` for the baseline.
-At = Deformation | Linearisation | DesignPoint | str | Mapping[str, float] | ArrayLike | None
-
-
-@dataclass(frozen=True)
-class Tangents:
-    """Changes of the outputs along k directions; without the first axis for a single one."""
-
-    #: float64, (k, n, 3), metres.
-    vertices: NDArray[np.float64]
-    #: By function: float64, (k,), in its unit.
-    functions: dict[str, NDArray[np.float64]]
-    #: Seconds that the engine took.
-    engine_seconds: float
-    #: Seconds that the requests waited for the engine.
-    queue_seconds: float
-
-
-@dataclass(frozen=True)
-class Gradients:
-    """Gradients of k weighted sums of the outputs; without the first axis for a single one."""
-
-    #: float64, (k, number of variables), per its variable's unit; `None` if not asked for.
-    design: NDArray[np.float64] | None
-    #: By component, if asked for: float64, (k, number of its control points, 3), per metre.
-    control_points: dict[str, NDArray[np.float64]]
-    #: Seconds that the engine took.
-    engine_seconds: float
-    #: Seconds that the requests waited for the engine.
-    queue_seconds: float
-
-
-@dataclass(frozen=True)
-class Jacobian:
-    """Derivatives of all outputs by all design variables."""
-
-    #: float64, (number of variables, n, 3), metres per the variable's unit.
-    vertices: NDArray[np.float64]
-    #: By function: float64, (number of variables,), its unit per the variable's.
-    functions: dict[str, NDArray[np.float64]]
-    #: Seconds that the engine took.
-    engine_seconds: float
-    #: Seconds that the request waited for the engine.
-    queue_seconds: float
+T = TypeVar("T")
 
 
 class Client:
     """A connection to a server. Safe to use from several threads; close it, or use it in a `with` statement.
 
-    `target`: address such as ``127.0.0.1:50051``, or a `grpc.Channel` of your own (with TLS, credentials,
-    interceptors), which is then yours to close.
-    `timeout`: seconds that a call other than `create_setup` may take; `None` for no limit.
+    `target`: address such as ``127.0.0.1:50051``, or a `grpc.Channel` of your own (with credentials, interceptors),
+    which is then yours to close.
+    `token`: says who you are; it goes with every call, so use it with `tls` unless the network is your own.
+    `tls`: `True` to encrypt, trusting gRPC's list of authorities; a :class:`TLS` to say more; `False` for plain text.
+    `timeout`: seconds that a call other than `create_setup` may take in all, with what is tried again; `math.inf` for no
+    limit. Every method takes one of its own.
+    `retry`: when a call that failed is tried again.
     """
 
-    def __init__(self, target: str | grpc.Channel = "127.0.0.1:50051", *, timeout: float | None = 600.0) -> None:
+    def __init__(
+        self,
+        target: str | grpc.Channel = "127.0.0.1:50051",
+        *,
+        token: str | None = None,
+        tls: TLS | bool = False,
+        timeout: float = 600.0,
+        retry: Retry = Retry(),
+    ) -> None:
         self._own = isinstance(target, str)
-        self._channel: grpc.Channel = (
-            grpc.insecure_channel(target, options=_channel_options()) if isinstance(target, str) else target
-        )
+        self._channel: grpc.Channel = connection.channel(target, tls, grpc)
         self._stub: Any = mesh_service_pb2_grpc.MeshServiceStub(self._channel)
+        self._metadata = connection.metadata(token)
         self._timeout = timeout
+        self._retry = retry
 
     def create_setup(
         self,
         path: str | os.PathLike[str],
         *,
         setup_file: str = "",
-        progress: bool | Callable[[Progress], None] = False,
+        visibility: Visibility | None = None,
+        shared_with: Iterable[str] = (),
+        progress: bool | Tell = False,
         request_id: str | None = None,
-        timeout: float | None = None,
+        timeout: float = math.inf,
     ) -> Setup:
         """Uploads and builds a set-up; the same content again gives the set-up that exists.
 
         `path`: its folder, or an archive of it (.tar, .tar.gz, .tgz, .zip).
         `setup_file`: the file in it that describes the set-up; the server's usual names if empty.
-        `progress`: `True` for a progress bar, or a function that is called with each :class:`Progress`.
+        `visibility`, `shared_with`: as in :meth:`Setup.share`; if `None`, private if it is new, else as it was.
+        `progress`: `True` for a progress bar, or a function that is called with each :class:`Progress`. An exception of
+        the function cancels the call.
         `request_id`: name of this request, so that a retry is recognised; made up if `None`.
-        `timeout`: seconds it may take; `None` for no limit.
 
         Raises :class:`InvalidArgument` naming every field that is wrong.
         """
-        request_id = uuid.uuid4().hex if request_id is None else request_id
-        messages = upload.messages(path, setup_file, request_id)
-        with translated():
-            events = self._stub.CreateSetup(messages, timeout=timeout)
-            if callable(progress):
-                created = _follow(events, progress)
-            else:
-                with _Bar(enabled=progress) as bar:
-                    created = _follow(events, bar)
-        return Setup(self, created.setup_id, created.setup, built=created.built)
+        with told(progress) as tell:
+            operation = operations.create_setup(path, setup_file, request_id, visibility, shared_with, tell)
+            created = self._run(operation, timeout)
+        return Setup(self, created.setup, built=created.built)
 
-    def get_setup(self, setup_id: str) -> Setup:
+    def get_setup(self, setup_id: str, *, timeout: float | None = None) -> Setup:
         """The set-up of that id. Raises :class:`NotFound`."""
-        response = self._call("GetSetup", wire.GetSetupRequest(setup_id=setup_id))
-        return Setup(self, setup_id, response.setup, built=False)
+        return Setup(self, self._run(operations.get_setup(setup_id), timeout), built=False)
+
+    def list_setups(self, *, timeout: float | None = None) -> list[SetupSummary]:
+        """The set-ups that you may use: your own, those shared with you, and public ones; in the order of their ids."""
+        return self._run(operations.list_setups(), timeout)
+
+    def resume(self, session_id: str, *, timeout: float | None = None) -> Session:
+        """The open session of that id, whoever of your tenant opened it, on whichever server. Raises :class:`NotFound`."""
+        state, description = self._run(operations.resume(session_id), timeout)
+        return Session(Setup(self, description, built=False), state)
+
+    def list_sessions(self, *, timeout: float | None = None) -> list[SessionState]:
+        """Your open sessions, without their designs; in the order of their ids."""
+        return self._run(operations.list_sessions(), timeout)
+
+    def status(self, *, timeout: float | None = None) -> Status:
+        """What the server does and holds: of your tenant, or of all if you are an administrator."""
+        return self._run(operations.status(), timeout)
 
     def close(self) -> None:
-        """Closes the connection."""
+        """Closes the connection; calls under way are cancelled."""
         if self._own:
             self._channel.close()
 
@@ -241,67 +129,56 @@ class Client:
     ) -> None:
         self.close()
 
-    def _call(self, method: str, request: Any) -> Any:
-        with translated():
-            return getattr(self._stub, method)(request, timeout=self._timeout)
+    def _run(self, operation: Operation[T], timeout: float | None) -> T:
+        deadline = Deadline(self._timeout if timeout is None else timeout)
+        with closing(operation):
+            step = operation.send
+            result: Any = None
+            while True:
+                try:
+                    call = step(result)
+                except StopIteration as end:
+                    return end.value  # type: ignore[no-any-return]  # What the operation returns is a T.
+                try:
+                    step, result = operation.send, self._perform(call, deadline)
+                except MoldlineError as error:
+                    step, result = operation.throw, error
+
+    def _perform(self, call: Call, deadline: Deadline) -> Any:
+        attempts = Attempts(self._retry, deadline)
+        while True:
+            try:
+                with translated():
+                    return self._attempt(call, deadline)
+            except MoldlineError as error:
+                time.sleep(attempts.pause(error))
+
+    def _attempt(self, call: Call, deadline: Deadline) -> Any:
+        method = getattr(self._stub, call.method)
+        answer = method(call.messages(), timeout=deadline.remaining, metadata=self._metadata)
+        if call.receiver is None:
+            return answer
+        receive = call.receiver()
+        try:
+            for message in answer:
+                receive(message)
+        finally:
+            # Without effect if it has ended.
+            answer.cancel()
+        return None
 
 
-class Setup:
+class Setup(SetupFacts):
     """A set-up on the server: geometry, mesh, design variables and options. Immutable, and shared by all its users."""
 
-    def __init__(self, client: Client, setup_id: str, description: wire.SetupDescription, *, built: bool) -> None:
+    def __init__(self, client: Client, description: wire.SetupDescription, *, built: bool) -> None:
+        super().__init__(description, built=built)
         self._client = client
-        #: Hash of its content.
-        self.id = setup_id
-        #: Whether the call that returned this built it.
-        self.built = built
-        #: The title its author gave it.
-        self.name: str = description.name
-        #: What was found, as text and as parsed JSON.
-        self.report_text: str = description.report_text
-        self.report: dict[str, Any] = json.loads(description.report_json)
-        #: In the order of a design's entries.
-        self.variables: tuple[Variable, ...] = tuple(
-            Variable(v.name, v.unit, v.baseline, v.lower, v.upper) for v in description.variables
-        )
-        #: Declared variables by name.
-        self.groups: dict[str, VariableGroup] = {group.name: _group(group) for group in description.groups}
-        #: Names of the components.
-        self.components: tuple[str, ...] = tuple(description.components)
-        #: How many control points each component has.
-        self.control_point_counts: dict[str, int] = dict(
-            zip(self.components, description.control_point_counts, strict=True)
-        )
-        #: The scalar outputs besides the vertices.
-        self.functions: tuple[Function, ...] = tuple(Function(f.name, f.unit, f.value) for f in description.functions)
-        self.vertex_count: int = description.vertex_count
-        self.cell_count: int = description.cell_count
-        #: Seconds that the engine took to build it.
-        self.build_seconds: float = description.build_seconds
-
-    @property
-    def baseline(self) -> NDArray[np.float64]:
-        """float64, (number of variables): the design of the reference geometry."""
-        return np.array([variable.baseline for variable in self.variables])
-
-    @property
-    def bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Lower and upper bounds, float64, (number of variables) each; may be infinite."""
-        lower = np.array([variable.lower for variable in self.variables])
-        return lower, np.array([variable.upper for variable in self.variables])
 
     @cached_property
     def mesh(self) -> Mesh:
         """The reference mesh, fetched once."""
-        request = wire.GetSetupRequest(setup_id=self.id, include_mesh=True)
-        mesh = self._client._call("GetSetup", request).mesh
-        return Mesh(
-            vertices=arrays.from_wire(mesh.vertices),
-            cells=arrays.from_wire(mesh.cells),
-            cell_owner=arrays.from_wire(mesh.cell_owner),
-            seam=arrays.from_wire(mesh.seam).astype(bool),
-            components=self.components,
-        )
+        return self._client._run(operations.mesh(self), None)
 
     @cached_property
     def control_points(self) -> dict[str, NDArray[np.float64]]:
@@ -309,29 +186,66 @@ class Setup:
 
         Patch after patch, the second parameter fastest.
         """
-        request = wire.GetSetupRequest(setup_id=self.id, include_control_points=True)
-        response = self._client._call("GetSetup", request)
-        return {each.component: arrays.from_wire(each.points) for each in response.control_points}
+        return self._client._run(operations.control_points(self), None)
 
-    def session(self, *, request_id: str | None = None) -> Session:
-        """Opens a session; use it in a `with` statement, or close it."""
-        request_id = uuid.uuid4().hex if request_id is None else request_id
-        request = wire.OpenSessionRequest(setup_id=self.id, request_id=request_id)
-        return Session(self, self._client._call("OpenSession", request).session_id)
+    def share(
+        self, visibility: Visibility, *, shared_with: Iterable[str] = (), timeout: float | None = None
+    ) -> None:
+        """Changes who else may use a set-up of your own.
 
-    def __repr__(self) -> str:
-        sizes = f"{self.vertex_count} vertices, {self.cell_count} cells, {len(self.variables)} variables"
-        return f"<Setup {self.name!r} {self.id[:12]}: {sizes}>"
+        `visibility`: ``private``, ``tenants`` or ``public``.
+        `shared_with`: with ``tenants``: their names.
+        """
+        self.access = self._client._run(operations.share_setup(self.id, visibility, shared_with), timeout)
+
+    def delete(self, *, timeout: float | None = None) -> None:
+        """Gives up a set-up of your own. Sessions open on it go on; whoever else uploaded the same content keeps it."""
+        self._client._run(operations.delete_setup(self.id), timeout)
+
+    def session(self, *, label: str = "", request_id: str | None = None, timeout: float | None = None) -> Session:
+        """Opens a session, which lasts until it is closed: use it in a `with` statement, or close it.
+
+        `label`: for people.
+        `request_id`: as in :meth:`Client.create_setup`.
+        """
+        return Session(self, self._client._run(operations.open_session(self.id, label, request_id), timeout))
 
 
-class Session:
-    """Work on one set-up, apart from all other sessions."""
+class Session(SessionFacts):
+    """Work on one set-up, apart from all other sessions.
 
-    def __init__(self, setup: Setup, session_id: str) -> None:
+    The server keeps it, with the design that was stored last, over restarts and until it is closed: an optimizer stores
+    where it has got to (:meth:`update`), and goes on from there (:meth:`resume`) when it was interrupted itself.
+    """
+
+    def __init__(self, setup: Setup, state: SessionState) -> None:
+        super().__init__(state)
         #: The set-up.
         self.setup = setup
-        #: Name of the session on the server.
-        self.id = session_id
+
+    @classmethod
+    def resume(cls, client: Client, session_id: str, *, timeout: float | None = None) -> Session:
+        """The same as :meth:`Client.resume`."""
+        return client.resume(session_id, timeout=timeout)
+
+    def update(
+        self,
+        design: Mapping[str, float] | ArrayLike | None = None,
+        *,
+        control_points: Mapping[str, ArrayLike] | None = None,
+        label: str | None = None,
+        timeout: float | None = None,
+    ) -> None:
+        """Stores the session's design, label or both; what is `None` stays as it was. When it returns, it is durable.
+
+        Raises :class:`Aborted` if the session has been updated elsewhere since: :meth:`refresh` reads what is there now.
+        """
+        operation = operations.update_session(self.state, design, control_points, label)
+        self.state = self.setup._client._run(operation, timeout)
+
+    def refresh(self, *, timeout: float | None = None) -> None:
+        """Reads :attr:`state` from the server again."""
+        self.state = self.setup._client._run(operations.get_session(self.id), timeout)
 
     def deform(
         self,
@@ -339,6 +253,7 @@ class Session:
         *,
         control_points: Mapping[str, ArrayLike] | None = None,
         cell_quality: bool = False,
+        timeout: float | None = None,
     ) -> Deformation:
         """The mesh at a design. A pure function: the same design gives the same bytes, and a retry is safe.
 
@@ -351,23 +266,8 @@ class Session:
         Raises :class:`InvalidArgument` naming the entry that is wrong, :class:`FailedPrecondition` if the mesh cannot
         follow.
         """
-        point = _copied(design, control_points)
-        request = wire.DeformRequest(session_id=self.id, include_cell_quality=cell_quality)
-        _write_point(point, request)
-        response = self.setup._client._call("Deform", request)
-        return Deformation(
-            vertices=arrays.from_wire(response.vertices),
-            functions=dict(zip(self._function_names(), arrays.from_wire(response.functions).tolist(), strict=True)),
-            linearisation=Linearisation(response.linearisation_id, point),
-            quality=report_from_wire(response.quality),
-            cell_quality=_cell_quality(response.cell_quality) if cell_quality else None,
-            seam_residual=response.residuals.seam,
-            held_residual=response.residuals.held,
-            projection_residual=response.residuals.projection,
-            projection_steps=response.residuals.projection_steps,
-            engine_seconds=response.timings.engine_seconds,
-            queue_seconds=response.timings.queue_seconds,
-        )
+        operation = operations.deform(self.setup, self.id, design, control_points, cell_quality)
+        return self.setup._client._run(operation, timeout)
 
     def jvp(
         self,
@@ -375,6 +275,7 @@ class Session:
         *,
         control_points: Mapping[str, ArrayLike] | None = None,
         at: At = None,
+        timeout: float | None = None,
     ) -> Tangents:
         """How the outputs change along directions of the inputs: `J v`, exactly.
 
@@ -385,29 +286,10 @@ class Session:
         control points, the design does not move that component.
         `at`: see :data:`At`.
 
-        Raises :class:`InvalidArgument` naming the entry that is wrong, :class:`NotFound` for the id of a linearisation
-        that the session does not keep any more.
+        Raises :class:`InvalidArgument` naming the entry that is wrong, :class:`NotFound` for a bare id of a linearisation
+        that the server does not hold any more.
         """
-        blocks: dict[str, NDArray[np.float64]] = {}
-        single: set[bool] = set()
-        if directions is not None:
-            blocks["directions"] = _block(directions, 1, single)
-        for component, vectors in (control_points or {}).items():
-            blocks[f"control_points[{component!r}]"] = _block(vectors, 2, single)
-        components = list(control_points or {})
-        parts = []
-        for start, end in self._pieces(blocks):
-            request = wire.ApplyJacobianVectorRequest(session_id=self.id)
-            for name, block in blocks.items():
-                if name == "directions":
-                    request.design.CopyFrom(arrays.to_wire(block[start:end]))
-                else:
-                    component = components[len(request.control_points)]
-                    request.control_points.add(component=component, vectors=arrays.to_wire(block[start:end]))
-            parts.append(self._product("ApplyJacobianVector", request, at))
-        vertices = _joined([part.vertices for part in parts], single)
-        functions = _joined([part.functions for part in parts], single)
-        return Tangents(vertices, self._by_function(functions), *_seconds(parts))
+        return self.setup._client._run(operations.jvp(self.setup, self.id, directions, control_points, at), timeout)
 
     def vjp(
         self,
@@ -417,6 +299,7 @@ class Session:
         at: At = None,
         design: bool = True,
         control_points: Iterable[str] = (),
+        timeout: float | None = None,
     ) -> Gradients:
         """Gradients of weighted sums of the outputs by the inputs: `J^T w`, exactly. One seed costs as much as k in part.
 
@@ -430,121 +313,23 @@ class Session:
 
         Raises as :meth:`jvp`.
         """
-        blocks: dict[str, NDArray[np.float64]] = {}
-        single: set[bool] = set()
-        if vertices is not None:
-            blocks["vertices"] = _block(vertices, 2, single)
-        if functions is not None:
-            weights = self._weights(functions) if isinstance(functions, Mapping) else functions
-            blocks["functions"] = _block(weights, 1, single)
-        control_points = list(control_points)
-        parts = []
-        for start, end in self._pieces(blocks):
-            request = wire.ApplyAdjointRequest(
-                session_id=self.id, include_design=design, control_points_of=control_points
-            )
-            for name, block in blocks.items():
-                getattr(request, name).CopyFrom(arrays.to_wire(block[start:end]))
-            parts.append(self._product("ApplyAdjoint", request, at))
-        by_component = {
-            component: _joined([part.control_points[index].vectors for part in parts], single)
-            for index, component in enumerate(control_points)
-        }
-        by_design = _joined([part.design for part in parts], single) if design else None
-        return Gradients(by_design, by_component, *_seconds(parts))
+        operation = operations.vjp(self.setup, self.id, vertices, functions, at, design, control_points)
+        return self.setup._client._run(operation, timeout)
 
-    def jacobian(self, *, at: At = None, progress: bool = False) -> Jacobian:
+    def jacobian(self, *, at: At = None, progress: bool | Tell = False, timeout: float | None = None) -> Jacobian:
         """Derivatives of all outputs by all design variables, exactly; received in blocks into one array.
 
         `at`: see :data:`At`.
-        `progress`: whether to show a progress bar.
+        `progress`: as in :meth:`Client.create_setup`.
 
         Raises as :meth:`jvp`.
         """
-        shape = (len(self.setup.variables), self.setup.vertex_count, 3)
-        vertices = np.empty(shape)
-        functions = np.empty((shape[0], len(self.setup.functions)))
-        parts: list[Any] = []
+        with told(progress) as tell:
+            return self.setup._client._run(operations.jacobian(self.setup, self.id, at, tell), timeout)
 
-        def receive(request: wire.JacobianRequest) -> None:
-            parts.clear()
-            received = 0
-            client = self.setup._client
-            with translated(), _Bar(enabled=progress) as bar:
-                for part in client._stub.Jacobian(request, timeout=client._timeout):
-                    columns = slice(part.first, part.first + part.vertices.shape[0])
-                    vertices[columns] = arrays.from_wire(part.vertices)
-                    functions[columns] = arrays.from_wire(part.functions)
-                    # Their arrays are not needed any more.
-                    part.ClearField("vertices")
-                    part.ClearField("functions")
-                    parts.append(part)
-                    bar(Progress("jacobian", columns.stop / part.columns, f"column {columns.stop} of {part.columns}"))
-                    received = columns.stop
-            if received != shape[0]:
-                raise InternalError("the server ended before the last column")
-
-        self._at(receive, wire.JacobianRequest(session_id=self.id), at)
-        return Jacobian(vertices, self._by_function(functions), *_seconds(parts))
-
-    def _product(self, method: str, request: Any, at: At) -> Any:
-        return self._at(lambda request: self.setup._client._call(method, request), request, at)
-
-    def _at(self, call: Callable[[Any], Any], request: Any, at: At) -> Any:
-        """Calls with `request` at `at`: by id where there is one, and by design where the session has dropped it."""
-        if isinstance(at, Deformation):
-            at = at.linearisation
-        if isinstance(at, str):
-            request.at.linearisation_id = at
-            return call(request)
-        if isinstance(at, Linearisation):
-            request.at.linearisation_id = at.id
-            try:
-                return call(request)
-            except NotFound as error:
-                if not any(violation.field == "at.linearisation_id" for violation in error.violations):
-                    raise
-                at = at.point
-        point = at if isinstance(at, DesignPoint) else DesignPoint(at)
-        request.at.design_point.SetInParent()
-        _write_point(point, request.at.design_point)
-        return call(request)
-
-    def _pieces(self, blocks: Mapping[str, NDArray[np.float64]]) -> Iterator[tuple[int, int]]:
-        """Ranges of vectors that fit one request."""
-        counts = {name: len(block) for name, block in blocks.items()}
-        if not counts:
-            raise ValueError("there is nothing to multiply with: give directions or seeds")
-        if len(set(counts.values())) > 1:
-            raise ValueError(f"all blocks have to have as many vectors, these have {counts}")
-        count = next(iter(counts.values()))
-        points = self.setup.vertex_count + sum(self.setup.control_point_counts.values())
-        step = max(1, min(_VECTORS, _REQUEST // (24 * points)))
-        # Without any vector there is still a request, which is refused.
-        return ((start, min(start + step, count)) for start in range(0, max(count, 1), step))
-
-    def _function_names(self) -> list[str]:
-        return [function.name for function in self.setup.functions]
-
-    def _by_function(self, values: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-        return {name: values[..., index] for index, name in enumerate(self._function_names())}
-
-    def _weights(self, weights: Mapping[str, ArrayLike]) -> NDArray[np.float64]:
-        names = self._function_names()
-        if unknown := sorted(set(weights) - set(names)):
-            raise ValueError(f"there is no function {', '.join(unknown)}; there are: {', '.join(names)}")
-        given = np.broadcast_arrays(*(np.asarray(weight, dtype=np.float64) for weight in weights.values()))
-        all_weights = np.zeros((*(given[0].shape if given else ()), len(names)))
-        for name, weight in zip(weights, given, strict=True):
-            all_weights[..., names.index(name)] = weight
-        return all_weights
-
-    def close(self) -> None:
-        """Closes the session; closing it again does nothing."""
-        try:
-            self.setup._client._call("CloseSession", wire.CloseSessionRequest(session_id=self.id))
-        except NotFound:
-            pass
+    def close(self, *, timeout: float | None = None) -> None:
+        """Closes the session for good; closing it again does nothing."""
+        self.setup._client._run(operations.close_session(self.id), timeout)
 
     def __enter__(self) -> Session:
         return self
@@ -553,89 +338,3 @@ class Session:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
-
-
-def _channel_options() -> list[tuple[str, int]]:
-    return [
-        ("grpc.max_receive_message_length", _MAX_MESSAGE),
-        ("grpc.max_send_message_length", _MAX_MESSAGE),
-        # Two clients in one process are two connections.
-        ("grpc.use_local_subchannel_pool", 1),
-    ]
-
-
-def _copied(design: Mapping[str, float] | ArrayLike | None, points: Mapping[str, ArrayLike] | None) -> DesignPoint:
-    """The design with arrays of its own, so that later changes of the caller's do not reach it."""
-    if isinstance(design, Mapping):
-        design = {name: float(value) for name, value in design.items()}
-    elif design is not None:
-        design = np.array(design, dtype=np.float64)
-    copies = {component: np.array(each, dtype=np.float64) for component, each in (points or {}).items()}
-    return DesignPoint(design, copies or None)
-
-
-def _write_point(point: DesignPoint, message: Any) -> None:
-    """Writes the fields `design` or `named`, and `control_points`."""
-    if isinstance(point.design, Mapping):
-        message.named.SetInParent()
-        message.named.values.update({name: float(value) for name, value in point.design.items()})
-    elif point.design is not None:
-        message.design.CopyFrom(arrays.to_wire(point.design))
-    for component, points in (point.control_points or {}).items():
-        message.control_points.add(component=component, points=arrays.to_wire(points))
-
-
-def _block(vectors: ArrayLike, dimensions: int, single: set[bool]) -> NDArray[np.float64]:
-    """`vectors` as a block, with a first axis; `single` remembers whether there was none."""
-    block = np.asarray(vectors, dtype=np.float64)
-    single.add(block.ndim == dimensions)
-    return block[np.newaxis] if block.ndim <= dimensions else block
-
-
-def _joined(parts: list[Any], single: set[bool]) -> NDArray[np.float64]:
-    """The blocks of all parts as one; its only vector, if all that was given had no first axis."""
-    blocks = [arrays.from_wire(part) for part in parts]
-    block: NDArray[np.float64] = blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
-    return block[0] if single == {True} else block
-
-
-def _seconds(parts: list[Any]) -> tuple[float, float]:
-    """Of the engine, and in the queue."""
-    return sum(part.timings.engine_seconds for part in parts), sum(part.timings.queue_seconds for part in parts)
-
-
-def _cell_quality(quality: wire.CellQuality) -> dict[str, NDArray[np.float64]]:
-    names = ("aspect_ratio", "edge_ratio", "scaled_jacobian", "skew")
-    return {name: arrays.from_wire(getattr(quality, name)) for name in names}
-
-
-def _group(group: wire.VariableGroup) -> VariableGroup:
-    shape = tuple(group.shape)
-    return VariableGroup(group.name, slice(group.first, group.first + int(np.prod(shape))), shape)
-
-
-def _follow(events: Iterator[wire.CreateSetupResponse], tell: Callable[[Progress], None]) -> wire.CreatedSetup:
-    for event in events:
-        if event.HasField("created"):
-            return event.created
-        tell(Progress(event.progress.stage, event.progress.fraction, event.progress.message))
-    raise InternalError("the server ended without a result")
-
-
-class _Bar:
-    """A progress bar for each stage in turn."""
-
-    def __init__(self, *, enabled: bool) -> None:
-        layout = "{desc:<50} {percentage:3.0f}%|{bar:30}| {elapsed}"
-        self._bar = tqdm(total=1.0, disable=not enabled, bar_format=layout, leave=False)
-
-    def __call__(self, progress: Progress) -> None:
-        self._bar.set_description_str(progress.message, refresh=False)
-        self._bar.n = progress.fraction
-        self._bar.refresh()
-
-    def __enter__(self) -> _Bar:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bar.close()

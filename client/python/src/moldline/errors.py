@@ -41,11 +41,23 @@ class InvalidArgument(MoldlineError, ValueError):
 
 
 class NotFound(MoldlineError, LookupError):
-    """There is no set-up or session of that id, or the session does not keep that linearisation any more."""
+    """There is no set-up or session of that id that you may see, or no linearisation any more for a bare id."""
 
 
 class AlreadyExists(MoldlineError):
     """The request id named a request with other content before."""
+
+
+class Aborted(MoldlineError):
+    """Somebody else was faster: the session has another generation than was expected. Read it again."""
+
+
+class Unauthenticated(MoldlineError, PermissionError):
+    """The server does not know who this is: the token is missing, unknown or has expired."""
+
+
+class PermissionDenied(MoldlineError, PermissionError):
+    """The server knows who this is, and that this is not theirs to do."""
 
 
 class FailedPrecondition(MoldlineError):
@@ -53,7 +65,7 @@ class FailedPrecondition(MoldlineError):
 
 
 class ResourceExhausted(MoldlineError):
-    """The server is full; try again after :attr:`retry_after` seconds."""
+    """The server is full, or a quota is; where trying again may help, :attr:`retry_after` says when."""
 
 
 class OutOfRange(MoldlineError):
@@ -69,7 +81,7 @@ class DeadlineExceeded(MoldlineError, TimeoutError):
 
 
 class Unavailable(MoldlineError, ConnectionError):
-    """The server cannot be reached."""
+    """The server cannot be reached, or is about to stop."""
 
 
 class InternalError(MoldlineError):
@@ -80,6 +92,9 @@ _CLASSES: dict[grpc.StatusCode, type[MoldlineError]] = {
     grpc.StatusCode.INVALID_ARGUMENT: InvalidArgument,
     grpc.StatusCode.NOT_FOUND: NotFound,
     grpc.StatusCode.ALREADY_EXISTS: AlreadyExists,
+    grpc.StatusCode.ABORTED: Aborted,
+    grpc.StatusCode.UNAUTHENTICATED: Unauthenticated,
+    grpc.StatusCode.PERMISSION_DENIED: PermissionDenied,
     grpc.StatusCode.FAILED_PRECONDITION: FailedPrecondition,
     grpc.StatusCode.RESOURCE_EXHAUSTED: ResourceExhausted,
     grpc.StatusCode.OUT_OF_RANGE: OutOfRange,

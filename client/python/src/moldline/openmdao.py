@@ -18,7 +18,8 @@ import numpy as np
 import openmdao.api as om
 from numpy.typing import NDArray
 
-from moldline.client import Deformation, DesignPoint, Session
+from moldline.client import Session
+from moldline.model import Deformation, DesignPoint
 
 #: OpenMDAO's words for units.
 _UNITS = {"1": None, "percent": "percent", "m^2": "m**2", "m^3": "m**3", "ft^2": "ft**2"}

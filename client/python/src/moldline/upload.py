@@ -19,28 +19,27 @@ _ARCHIVES = {
 }
 
 
-def messages(path: str | os.PathLike[str], setup_file: str, request_id: str) -> Iterator[wire.CreateSetupRequest]:
-    """The header, then the files' bytes.
+def files(path: str | os.PathLike[str], header: wire.SetupHeader) -> list[Path]:
+    """The files to send, after they have been entered in the header: an archive, or all of a folder.
 
-    Of a folder all files are sent but hidden ones and Python's caches.
+    Hidden files and Python's caches stay.
     """
     path = Path(path)
-    header = wire.SetupHeader(request_id=request_id, setup_file=setup_file)
     if path.is_dir():
-        files = [file for file in sorted(path.rglob("*")) if file.is_file() and not _hidden(file.relative_to(path))]
-        for file in files:
+        found = [file for file in sorted(path.rglob("*")) if file.is_file() and not _hidden(file.relative_to(path))]
+        for file in found:
             header.files.files.add(path=file.relative_to(path).as_posix(), size=file.stat().st_size)
-    else:
-        kind = next((kind for suffix, kind in _ARCHIVES.items() if path.name.endswith(suffix)), None)
-        if kind is None:
-            raise ValueError(f"{path} is neither a folder nor an archive ({', '.join(_ARCHIVES)})")
-        files = [path]
-        header.archive.kind = kind
-        header.archive.size = path.stat().st_size
-    return _parts(header, files)
+        return found
+    kind = next((kind for suffix, kind in _ARCHIVES.items() if path.name.endswith(suffix)), None)
+    if kind is None:
+        raise ValueError(f"{path} is neither a folder nor an archive ({', '.join(_ARCHIVES)})")
+    header.archive.kind = kind
+    header.archive.size = path.stat().st_size
+    return [path]
 
 
-def _parts(header: wire.SetupHeader, files: list[Path]) -> Iterator[wire.CreateSetupRequest]:
+def messages(header: wire.SetupHeader, files: list[Path]) -> Iterator[wire.CreateSetupRequest]:
+    """The header, then the files' bytes."""
     yield wire.CreateSetupRequest(header=header)
     for index, file in enumerate(files):
         with file.open("rb") as stream:

@@ -1,67 +1,62 @@
-//! The gRPC transport: thin. What a message means is in `convert`, what an error becomes in `status`.
+//! The gRPC transport: thin. What an RPC does is in `mesh`.
 
-mod convert;
-mod status;
 #[cfg(test)]
 mod tests;
 
-use std::{pin::Pin, sync::Arc};
+use std::pin::Pin;
 
 use moldline_proto::{FILE_DESCRIPTOR_SET, v1};
-use moldline_service::{At, Product, Service, ServiceError, UploadHeader, Wanted};
+use moldline_service::{Code, Principal, ServiceError};
+use moldline_transport::{Deadline, Health, status};
 use tokio::sync::mpsc;
 use tokio_stream::{
     Stream,
     wrappers::{ReceiverStream, UnboundedReceiverStream},
 };
-use tonic::{Request, Response, Status, Streaming, transport::server::Router};
-use tonic_health::server::HealthReporter;
-use v1::mesh_service_server::{MeshService, MeshServiceServer};
+use tonic::{Request, Response, Status, Streaming, service::Routes};
+use tracing::{Instrument, Span};
+use v1::{
+    create_setup_response::Event,
+    mesh_service_server::{MeshService, MeshServiceServer},
+};
 
-use status::refuse;
+use crate::{convert, mesh::Meshes};
 
-/// All gRPC services of the server: the meshes, health, and reflection in both its versions.
-pub async fn router(
-    service: Arc<Service>,
+/// The name of the mesh service.
+pub const MESHES: &str = <MeshServiceServer<Grpc> as tonic::server::NamedService>::NAME;
+
+/// The mesh service, whose callers are asked who they are; and for everybody health, and reflection in both its versions.
+pub async fn routes(
+    meshes: Meshes,
     max_message: usize,
-) -> Result<(Router, Health), tonic_reflection::server::Error> {
-    let (reporter, health) = tonic_health::server::health_reporter();
-    reporter.set_serving::<MeshServiceServer<Grpc>>().await;
+) -> Result<(Routes, Routes, Health), tonic_reflection::server::Error> {
+    let (health, answers) = Health::new(&[MESHES]).await;
     let reflection = || {
         tonic_reflection::server::Builder::configure()
             .register_encoded_file_descriptor_set(FILE_DESCRIPTOR_SET)
             .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
     };
-    let meshes = MeshServiceServer::new(Grpc { service })
+    let meshes = MeshServiceServer::new(Grpc { meshes })
         .max_decoding_message_size(max_message)
         .max_encoding_message_size(usize::MAX);
-    let router = tonic::transport::Server::builder()
-        // A mesh goes up without waiting for acknowledgements.
-        .initial_stream_window_size(Some(4 << 20))
-        .initial_connection_window_size(Some(16 << 20))
-        // Clients that vanish without a word lose interest in what they asked for.
-        .http2_keepalive_interval(Some(std::time::Duration::from_secs(30)))
-        .add_service(meshes)
-        .add_service(health)
+    let open = Routes::new(answers)
         .add_service(reflection().build_v1()?)
         .add_service(reflection().build_v1alpha()?);
-    Ok((router, Health(reporter)))
-}
-
-/// What health probes are told.
-pub struct Health(HealthReporter);
-
-impl Health {
-    /// Not serving any more, as a whole and the mesh service.
-    pub async fn end(&self) {
-        self.0.set_not_serving::<MeshServiceServer<Grpc>>().await;
-        self.0.set_service_status("", tonic_health::ServingStatus::NotServing).await;
-    }
+    Ok((Routes::new(meshes), open, health))
 }
 
 /// The mesh service on the wire.
 pub struct Grpc {
-    service: Arc<Service>,
+    meshes: Meshes,
+}
+
+/// Who calls, how long the answer is waited for, and what is asked.
+fn open<T>(mut request: Request<T>) -> Result<(Principal, Deadline, T), Status> {
+    let deadline = request.extensions().get().copied().unwrap_or_default();
+    let caller = request.extensions_mut().remove::<Principal>().ok_or_else(|| {
+        status(ServiceError::new(Code::Internal, "the request came past the question who sent it"))
+    })?;
+    Ok((caller, deadline, request.into_inner()))
 }
 
 type Columns = Pin<Box<dyn Stream<Item = Result<v1::JacobianResponse, Status>> + Send>>;
@@ -75,163 +70,176 @@ impl MeshService for Grpc {
         &self,
         request: Request<Streaming<v1::CreateSetupRequest>>,
     ) -> Result<Response<Events>, Status> {
+        let (caller, deadline, parts) = open(request)?;
         let (sender, events) = mpsc::unbounded_channel();
-        let service = Arc::clone(&self.service);
-        tokio::spawn(async move {
+        let meshes = self.meshes.clone();
+        let work = async move {
             let outcome = tokio::select! {
-                outcome = create_setup(&service, request.into_inner(), &sender) => outcome,
+                outcome = deadline.limit(create_setup(&meshes, &caller, parts, &sender), status) => outcome,
                 // The client has gone: the upload and the interest in the build go with this future.
                 () = sender.closed() => return,
             };
-            let _ = sender.send(outcome);
-        });
+            let _ = sender.send(outcome.map(|created| event(Event::Created(created))));
+        };
+        tokio::spawn(work.instrument(Span::current()));
         Ok(Response::new(Box::pin(UnboundedReceiverStream::new(events))))
+    }
+
+    type JacobianStream = Columns;
+
+    async fn jacobian(&self, request: Request<v1::JacobianRequest>) -> Result<Response<Columns>, Status> {
+        let (caller, deadline, request) = open(request)?;
+        // A client that reads slowly holds up its own columns only, and few of them are waiting.
+        let (sender, columns) = mpsc::channel(4);
+        let meshes = self.meshes.clone();
+        let work = async move {
+            let send = async |message| sender.send(Ok(message)).await.is_ok();
+            let outcome = tokio::select! {
+                outcome = deadline.limit(meshes.jacobian(&caller, request, send), |error| error) => outcome,
+                // The client has gone, and with this future the interest in what is computed.
+                () = sender.closed() => return,
+            };
+            if let Err(error) = outcome {
+                let _ = sender.send(Err(status(error))).await;
+            }
+        };
+        tokio::spawn(work.instrument(Span::current()));
+        Ok(Response::new(Box::pin(ReceiverStream::new(columns))))
     }
 
     async fn get_setup(
         &self,
         request: Request<v1::GetSetupRequest>,
     ) -> Result<Response<v1::GetSetupResponse>, Status> {
-        let request = request.into_inner();
-        let setup = self.service.setup(&request.setup_id).map_err(refuse)?;
-        let mesh = request.include_mesh.then(|| convert::mesh(&setup));
-        let control_points = match request.include_control_points {
-            true => convert::control_points(&setup).map_err(refuse)?,
-            false => Vec::new(),
-        };
-        let setup = Some(convert::description(&setup));
-        Ok(Response::new(v1::GetSetupResponse { setup, mesh, control_points }))
+        let (caller, _, request) = open(request)?;
+        answer(self.meshes.get_setup(&caller, request).await)
+    }
+
+    async fn list_setups(
+        &self,
+        request: Request<v1::ListSetupsRequest>,
+    ) -> Result<Response<v1::ListSetupsResponse>, Status> {
+        let (caller, _, request) = open(request)?;
+        answer(self.meshes.list_setups(&caller, request).await)
+    }
+
+    async fn share_setup(
+        &self,
+        request: Request<v1::ShareSetupRequest>,
+    ) -> Result<Response<v1::ShareSetupResponse>, Status> {
+        let (caller, _, request) = open(request)?;
+        answer(self.meshes.share_setup(&caller, request).await)
+    }
+
+    async fn delete_setup(
+        &self,
+        request: Request<v1::DeleteSetupRequest>,
+    ) -> Result<Response<v1::DeleteSetupResponse>, Status> {
+        let (caller, _, request) = open(request)?;
+        answer(self.meshes.delete_setup(&caller, request).await)
     }
 
     async fn open_session(
         &self,
         request: Request<v1::OpenSessionRequest>,
     ) -> Result<Response<v1::OpenSessionResponse>, Status> {
-        let v1::OpenSessionRequest { setup_id, request_id } = request.into_inner();
-        let session_id = self.service.open_session(&setup_id, &request_id).map_err(refuse)?;
-        Ok(Response::new(v1::OpenSessionResponse { session_id }))
+        let (caller, _, request) = open(request)?;
+        answer(self.meshes.open_session(&caller, request).await)
+    }
+
+    async fn get_session(
+        &self,
+        request: Request<v1::GetSessionRequest>,
+    ) -> Result<Response<v1::GetSessionResponse>, Status> {
+        let (caller, _, request) = open(request)?;
+        answer(self.meshes.get_session(&caller, request).await)
+    }
+
+    async fn list_sessions(
+        &self,
+        request: Request<v1::ListSessionsRequest>,
+    ) -> Result<Response<v1::ListSessionsResponse>, Status> {
+        let (caller, _, request) = open(request)?;
+        answer(self.meshes.list_sessions(&caller, request).await)
+    }
+
+    async fn update_session(
+        &self,
+        request: Request<v1::UpdateSessionRequest>,
+    ) -> Result<Response<v1::UpdateSessionResponse>, Status> {
+        let (caller, _, request) = open(request)?;
+        answer(self.meshes.update_session(&caller, request).await)
     }
 
     async fn close_session(
         &self,
         request: Request<v1::CloseSessionRequest>,
     ) -> Result<Response<v1::CloseSessionResponse>, Status> {
-        self.service.close_session(&request.into_inner().session_id).map_err(refuse)?;
-        Ok(Response::new(v1::CloseSessionResponse {}))
+        let (caller, _, request) = open(request)?;
+        answer(self.meshes.close_session(&caller, request).await)
     }
 
     async fn deform(
         &self,
         request: Request<v1::DeformRequest>,
     ) -> Result<Response<v1::DeformResponse>, Status> {
-        let v1::DeformRequest { session_id, input, control_points, include_cell_quality } =
-            request.into_inner();
-        let design = convert::design(input, control_points).map_err(refuse)?;
-        let deformed = self.service.deform(&session_id, design).await.map_err(refuse)?;
-        Ok(Response::new(convert::deformed(&deformed, include_cell_quality)))
+        let (caller, _, request) = open(request)?;
+        answer(self.meshes.deform(&caller, request).await)
     }
 
     async fn apply_jacobian_vector(
         &self,
         request: Request<v1::ApplyJacobianVectorRequest>,
     ) -> Result<Response<v1::ApplyJacobianVectorResponse>, Status> {
-        let v1::ApplyJacobianVectorRequest { session_id, at, design, control_points } = request.into_inner();
-        let at = convert::at(at).map_err(refuse)?;
-        let directions = convert::directions(design, control_points).map_err(refuse)?;
-        let product = self.service.jvp(&session_id, at, directions).await.map_err(refuse)?;
-        Ok(Response::new(convert::jvp(&product)))
+        let (caller, _, request) = open(request)?;
+        answer(self.meshes.apply_jacobian_vector(&caller, request).await)
     }
 
     async fn apply_adjoint(
         &self,
         request: Request<v1::ApplyAdjointRequest>,
     ) -> Result<Response<v1::ApplyAdjointResponse>, Status> {
-        let request = request.into_inner();
-        let at = convert::at(request.at).map_err(refuse)?;
-        let seeds = convert::seeds(request.vertices, request.functions).map_err(refuse)?;
-        let wanted = Wanted { design: request.include_design, control_points: request.control_points_of };
-        let product = self.service.vjp(&request.session_id, at, seeds, wanted).await.map_err(refuse)?;
-        Ok(Response::new(convert::vjp(&product)))
+        let (caller, _, request) = open(request)?;
+        answer(self.meshes.apply_adjoint(&caller, request).await)
     }
 
-    type JacobianStream = Columns;
-
-    async fn jacobian(&self, request: Request<v1::JacobianRequest>) -> Result<Response<Columns>, Status> {
-        let v1::JacobianRequest { session_id, at } = request.into_inner();
-        let at = convert::at(at).map_err(refuse)?;
-        // A client that reads slowly holds up its own columns only, and few of them are waiting.
-        let (sender, columns) = mpsc::channel(4);
-        let service = Arc::clone(&self.service);
-        tokio::spawn(async move {
-            let outcome = tokio::select! {
-                outcome = jacobian(&service, &session_id, at, &sender) => outcome,
-                // The client has gone, and with this future the interest in what is computed.
-                () = sender.closed() => return,
-            };
-            if let Err(error) = outcome {
-                let _ = sender.send(Err(refuse(error))).await;
-            }
-        });
-        Ok(Response::new(Box::pin(ReceiverStream::new(columns))))
+    async fn get_status(
+        &self,
+        request: Request<v1::GetStatusRequest>,
+    ) -> Result<Response<v1::GetStatusResponse>, Status> {
+        let (caller, _, request) = open(request)?;
+        answer(self.meshes.get_status(&caller, request).await)
     }
 }
 
-/// Computes the columns in large blocks, and sends them in messages of about 1 MiB.
-async fn jacobian(
-    service: &Service,
-    session_id: &str,
-    at: At,
-    sender: &mpsc::Sender<Result<v1::JacobianResponse, Status>>,
-) -> Result<(), ServiceError> {
-    const MESSAGE: usize = 1 << 20;
-    let Product { value: at, mut timing } = service.linearised(session_id, at).await?;
-    let columns = at.columns();
-    let mut first = 0;
-    while first < columns {
-        let block = service.jacobian(&at, first).await?;
-        timing = timing + block.timing;
-        let bytes = block.value.first().map_or(1, |column| size_of_val(&column.vertices[..]).max(1));
-        for some in block.value.chunks((MESSAGE / bytes).max(1)) {
-            let message = convert::jacobian(first, columns, some, std::mem::take(&mut timing));
-            first += some.len();
-            if sender.send(Ok(message)).await.is_err() {
-                return Ok(());
-            }
-        }
-    }
-    Ok(())
+fn answer<T>(outcome: Result<T, ServiceError>) -> Result<Response<T>, Status> {
+    outcome.map(Response::new).map_err(status)
+}
+
+fn event(event: Event) -> v1::CreateSetupResponse {
+    v1::CreateSetupResponse { event: Some(event) }
 }
 
 /// Receives, builds, and tells about it. Events are few, so the channel need not be bounded.
 async fn create_setup(
-    service: &Service,
+    meshes: &Meshes,
+    caller: &Principal,
     mut parts: Streaming<v1::CreateSetupRequest>,
     events: &mpsc::UnboundedSender<Result<v1::CreateSetupResponse, Status>>,
-) -> Result<v1::CreateSetupResponse, Status> {
-    let tell = |progress| {
-        let _ = events.send(Ok(convert::progress(progress)));
+) -> Result<v1::CreatedSetup, Status> {
+    let header = match parts.message().await? {
+        Some(part) => convert::header(part).map_err(status)?,
+        None => return Err(status(ServiceError::invalid("header", "is missing: nothing was sent"))),
     };
-    let header = header(parts.message().await?).map_err(refuse)?;
-    let mut receiving = service.receive(header).map_err(refuse)?;
-    let mut told = 0.0;
-    tell(receiving.progress());
-    while let Some(part) = parts.message().await? {
-        let chunk = convert::chunk(part).map_err(refuse)?;
-        receiving.append(chunk.file as usize, &chunk.data).map_err(refuse)?;
-        let progress = receiving.progress();
-        if progress.fraction >= told + 0.01 {
-            told = progress.fraction;
-            tell(progress);
+    let next = async || match parts.message().await? {
+        None => Ok::<_, Status>(None),
+        Some(part) => {
+            let chunk = convert::chunk(part).map_err(status)?;
+            Ok(Some((chunk.file as usize, chunk.data)))
         }
-    }
-    let uploaded = receiving.finish().map_err(refuse)?;
-    let created = service.create_setup(uploaded, tell).await.map_err(refuse)?;
-    Ok(convert::created(&created))
-}
-
-fn header(first: Option<v1::CreateSetupRequest>) -> Result<UploadHeader, ServiceError> {
-    match first {
-        Some(part) => convert::header(part),
-        None => Err(ServiceError::invalid("header", "is missing: nothing was sent")),
-    }
+    };
+    let tell = |progress| {
+        let _ = events.send(Ok(event(Event::Progress(progress))));
+    };
+    meshes.create_setup(caller, header, next, tell, status).await
 }

@@ -1,14 +1,10 @@
 //! The transport, with a real client over loopback.
 
-use std::{net::SocketAddr, sync::Arc};
-
 use moldline_proto::v1::{
     self, create_setup_request::Part, create_setup_response::Event, deform_request::Input,
     mesh_service_client::MeshServiceClient,
 };
-use moldline_service::{Limits, PoolLimits, Service};
-use tokio::net::TcpListener;
-use tokio_stream::{StreamExt, wrappers::TcpListenerStream};
+use tokio_stream::StreamExt;
 use tonic::{Code, Status, transport::Channel};
 use tonic_health::pb::{
     HealthCheckRequest, health_check_response::ServingStatus, health_client::HealthClient,
@@ -17,19 +13,11 @@ use tonic_reflection::pb::{v1 as reflection, v1alpha as reflection_alpha};
 use tonic_types::StatusExt;
 
 use super::*;
-
-#[path = "../../../service/tests/ball/mod.rs"]
-mod ball;
+use crate::testing::{Server, ball};
 
 async fn serve() -> (Channel, Health) {
-    let pool = PoolLimits { threads: 2, running: 2, queued: 8 };
-    let service = Arc::new(Service::new(pool, Limits::default()).unwrap());
-    let (router, health) = router(service, 64 << 20).await.unwrap();
-    let listener = TcpListener::bind(SocketAddr::from(([127, 0, 0, 1], 0))).await.unwrap();
-    let address = listener.local_addr().unwrap();
-    tokio::spawn(router.serve_with_incoming(TcpListenerStream::new(listener)));
-    let channel = Channel::from_shared(format!("http://{address}")).unwrap().connect().await.unwrap();
-    (channel, health)
+    let server = Server::start().await;
+    (server.channel().await, server.health)
 }
 
 fn header(file: &str) -> Part {
@@ -39,7 +27,7 @@ fn header(file: &str) -> Part {
 }
 
 fn chunk(data: &[u8]) -> Part {
-    Part::Chunk(v1::SetupChunk { file: 0, data: data.to_vec() })
+    Part::Chunk(v1::SetupChunk { file: 0, data: data.to_vec().into() })
 }
 
 async fn create(client: &mut MeshServiceClient<Channel>, parts: Vec<Part>) -> Result<Vec<Event>, Status> {
@@ -83,7 +71,7 @@ async fn a_set_up_goes_up_in_chunks_and_comes_back_described() {
     assert_eq!(mesh.vertices.unwrap().shape, [description.vertex_count, 3]);
     assert_eq!(mesh.cells.unwrap().data.len() as u64, description.cell_count * 16);
 
-    let request = v1::OpenSessionRequest { setup_id: created.setup_id.clone(), request_id: String::new() };
+    let request = v1::OpenSessionRequest { setup_id: created.setup_id.clone(), ..Default::default() };
     let session_id = client.open_session(request).await.unwrap().into_inner().session_id;
     let values = v1::NamedDesign { values: [("ball.x".to_owned(), 0.5)].into() };
     let request = v1::DeformRequest {
@@ -115,9 +103,7 @@ async fn derivatives(
     linearisation_id: String,
 ) {
     let (n, f) = (description.vertex_count, description.functions.len() as u64);
-    let at = Some(v1::LinearisationPoint {
-        at: Some(v1::linearisation_point::At::LinearisationId(linearisation_id)),
-    });
+    let at = Some(v1::LinearisationPoint { linearisation_id, design_point: None });
     let session_id = session_id.to_owned();
     let ones = |shape: &[u64]| v1::Array {
         dtype: v1::DataType::Float64.into(),
@@ -164,8 +150,8 @@ async fn derivatives(
     assert_eq!(numbers(&block.vertices.unwrap()), numbers(&of_vertices)[..3 * n as usize]);
     assert!(blocks.message().await.unwrap().is_none());
 
-    let at = v1::linearisation_point::At::LinearisationId("none".to_owned());
-    let request = v1::JacobianRequest { session_id, at: Some(v1::LinearisationPoint { at: Some(at) }) };
+    let at = v1::LinearisationPoint { linearisation_id: "none".to_owned(), design_point: None };
+    let request = v1::JacobianRequest { session_id, at: Some(at) };
     let status = client.jacobian(request).await.unwrap().into_inner().message().await.unwrap_err();
     assert_eq!((status.code(), field(&status).as_str()), (Code::NotFound, "at.linearisation_id"));
 }

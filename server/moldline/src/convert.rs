@@ -1,22 +1,30 @@
 //! Wire messages to the service's types and back.
 
+use std::time::SystemTime;
+
 use moldline_deform::Tangent;
 use moldline_mesh::{Cell, CellQuality, Distribution, QualityReport, Summary};
 use moldline_proto::v1;
 use moldline_service::{
-    ArchiveKind, At, ControlPointVectors, Created, Design, Directions, FileEntry, Gradients, Linearised,
-    Product, Progress, Seeds, ServiceError, StoredSetup, Timing, UploadHeader, UploadSource, Values,
+    Access, ArchiveKind, At, CacheStatus, ControlPointVectors, Created, Design, Directions, FileEntry,
+    Gradients, Linearised, Listed, Page, Product, Progress, Seeds, ServiceError, Session, SessionUpdate,
+    SetupSummary, Status, StoredSetup, Tenant, TenantError, Timing, UploadHeader, UploadSource, Values,
+    Visibility,
 };
-use v1::{
-    DataType, create_setup_request::Part, create_setup_response::Event, deform_request, design_point,
-    linearisation_point,
-};
+use v1::{DataType, create_setup_request::Part, deform_request, design_point};
 
 /// The first message of an upload.
 pub fn header(part: v1::CreateSetupRequest) -> Result<UploadHeader, ServiceError> {
-    let Some(Part::Header(v1::SetupHeader { request_id, setup_file, source })) = part.part else {
-        return Err(ServiceError::invalid("header", "has to be the first message"));
-    };
+    match part.part {
+        Some(Part::Header(header)) => upload(header),
+        _ => Err(ServiceError::invalid("header", "has to be the first message")),
+    }
+}
+
+/// What an upload announces.
+pub fn upload(header: v1::SetupHeader) -> Result<UploadHeader, ServiceError> {
+    let v1::SetupHeader { request_id, setup_file, source, visibility, shared_with } = header;
+    let visibility = self::visibility("header.", visibility, shared_with)?;
     let source = match source {
         Some(v1::setup_header::Source::Files(list)) => {
             let files = list.files.into_iter().map(|v1::FileEntry { path, size }| FileEntry { path, size });
@@ -36,7 +44,36 @@ pub fn header(part: v1::CreateSetupRequest) -> Result<UploadHeader, ServiceError
         None => return Err(ServiceError::invalid("header.source", "is missing: name files or an archive")),
     };
     let setup_file = (!setup_file.is_empty()).then_some(setup_file);
-    Ok(UploadHeader { request_id, setup_file, source })
+    Ok(UploadHeader { request_id, setup_file, visibility, source })
+}
+
+/// Who may use a set-up, if it is said; the fields have `prefix` before them.
+pub fn visibility(
+    prefix: &str,
+    visibility: i32,
+    shared_with: Vec<String>,
+) -> Result<Option<Visibility>, ServiceError> {
+    let field = || format!("{prefix}visibility");
+    let chosen = v1::Visibility::try_from(visibility)
+        .map_err(|_| ServiceError::invalid(field(), format!("there is no visibility {visibility}")))?;
+    if chosen != v1::Visibility::Tenants && !shared_with.is_empty() {
+        let description = "names tenants, and so the visibility has to be VISIBILITY_TENANTS";
+        return Err(ServiceError::invalid(format!("{prefix}shared_with"), description));
+    }
+    Ok(match chosen {
+        v1::Visibility::Unspecified => None,
+        v1::Visibility::Private => Some(Visibility::Private),
+        v1::Visibility::Public => Some(Visibility::Public),
+        v1::Visibility::Tenants => {
+            let tenants = shared_with.iter().enumerate().map(|(index, name)| {
+                let refuse = |error: TenantError| {
+                    ServiceError::invalid(format!("{prefix}shared_with[{index}]"), error.to_string())
+                };
+                Tenant::new(name).map_err(refuse)
+            });
+            Some(Visibility::Tenants(tenants.collect::<Result<_, _>>()?))
+        }
+    })
 }
 
 /// Any later message of an upload.
@@ -47,18 +84,16 @@ pub fn chunk(part: v1::CreateSetupRequest) -> Result<v1::SetupChunk, ServiceErro
     }
 }
 
-pub fn progress(Progress { stage, fraction, message }: Progress) -> v1::CreateSetupResponse {
-    let progress = v1::Progress { stage: stage.to_owned(), fraction, message };
-    v1::CreateSetupResponse { event: Some(Event::Progress(progress)) }
+pub fn progress(Progress { stage, fraction, message }: Progress) -> v1::Progress {
+    v1::Progress { stage: stage.to_owned(), fraction, message }
 }
 
-pub fn created(Created { setup, built }: &Created) -> v1::CreateSetupResponse {
-    let created =
-        v1::CreatedSetup { setup_id: setup.id.to_string(), built: *built, setup: Some(description(setup)) };
-    v1::CreateSetupResponse { event: Some(Event::Created(created)) }
+pub fn created(Created { setup, access, built }: &Created) -> v1::CreatedSetup {
+    let setup_id = setup.id.to_string();
+    v1::CreatedSetup { setup_id, built: *built, setup: Some(description(setup, access)) }
 }
 
-pub fn description(setup: &StoredSetup) -> v1::SetupDescription {
+pub fn description(setup: &StoredSetup, access: &Access) -> v1::SetupDescription {
     let parameterisation = setup.engine.parameterisation();
     let variables = parameterisation.variables().iter().map(|variable| v1::Variable {
         name: variable.name.clone(),
@@ -88,6 +123,114 @@ pub fn description(setup: &StoredSetup) -> v1::SetupDescription {
         build_seconds: setup.build_time.as_secs_f64(),
         functions: functions.collect(),
         control_point_counts: components.map(|c| c.user_control_point_count() as u64).collect(),
+        setup_id: setup.id.to_string(),
+        access: Some(self::access(access)),
+    }
+}
+
+pub fn access(Access { owned, visibility }: &Access) -> v1::SetupAccess {
+    let (visibility, shared_with) = match visibility {
+        Visibility::Private => (v1::Visibility::Private, Vec::new()),
+        Visibility::Public => (v1::Visibility::Public, Vec::new()),
+        Visibility::Tenants(tenants) => {
+            (v1::Visibility::Tenants, tenants.iter().filter(|_| *owned).map(Tenant::to_string).collect())
+        }
+    };
+    v1::SetupAccess { owned: *owned, visibility: visibility.into(), shared_with }
+}
+
+pub fn page(page_size: u32, token: String) -> Page {
+    Page { size: page_size as usize, token }
+}
+
+pub fn listed_setups(Listed { entries, next }: Listed<SetupSummary>) -> v1::ListSetupsResponse {
+    let setups = entries.into_iter().map(|entry| v1::SetupSummary {
+        setup_id: entry.id,
+        name: entry.name,
+        vertex_count: entry.vertices as u64,
+        cell_count: entry.cells as u64,
+        variable_count: entry.variables as u64,
+        created_time: unix_seconds(entry.created),
+        access: Some(access(&entry.access)),
+    });
+    v1::ListSetupsResponse { setups: setups.collect(), next_page_token: next.unwrap_or_default() }
+}
+
+pub fn listed_sessions(Listed { entries, next }: Listed<Session>) -> v1::ListSessionsResponse {
+    let sessions = entries.into_iter().map(session).collect();
+    v1::ListSessionsResponse { sessions, next_page_token: next.unwrap_or_default() }
+}
+
+pub fn session(session: Session) -> v1::Session {
+    v1::Session {
+        session_id: session.id,
+        setup_id: session.setup_id,
+        generation: session.generation,
+        design: session.design.map(stored_design),
+        label: session.label,
+        created_time: unix_seconds(session.created),
+        updated_time: unix_seconds(session.updated),
+    }
+}
+
+fn stored_design(Design { values, control_points }: Design) -> v1::DesignPoint {
+    let input = match values {
+        Values::Vector(vector) => design_point::Input::Design(numbers(&[vector.len()], [&vector[..]])),
+        Values::Named(values) => {
+            design_point::Input::Named(v1::NamedDesign { values: values.into_iter().collect() })
+        }
+    };
+    let given = control_points
+        .into_iter()
+        .map(|(component, of)| v1::ControlPoints { component, points: Some(points(&of)) });
+    v1::DesignPoint { input: Some(input), control_points: given.collect() }
+}
+
+pub fn update(request: v1::UpdateSessionRequest) -> Result<SessionUpdate, ServiceError> {
+    let v1::UpdateSessionRequest { expected_generation, design, label, request_id, .. } = request;
+    let design = design.map(|point| design_point("design.", point)).transpose()?;
+    Ok(SessionUpdate { expected_generation, design, label, request_id })
+}
+
+fn unix_seconds(time: SystemTime) -> f64 {
+    time.duration_since(SystemTime::UNIX_EPOCH).map_or(0.0, |since| since.as_secs_f64())
+}
+
+pub fn status(status: Status) -> v1::GetStatusResponse {
+    let cache = |cache: CacheStatus| v1::CacheStatus {
+        entries: cache.entries as u64,
+        bytes: cache.bytes as u64,
+        budget_bytes: cache.budget as u64,
+        hits: cache.hits,
+        misses: cache.misses,
+        evictions: cache.evictions,
+    };
+    let work = status.work.into_iter().map(|work| v1::Work {
+        kind: work.kind.to_owned(),
+        tenant: work.tenant.to_string(),
+        setup_id: work.setup.unwrap_or_default(),
+        session_id: work.session.unwrap_or_default(),
+        running: work.running.is_some(),
+        age_seconds: work.age.as_secs_f64(),
+        running_seconds: work.running.unwrap_or_default().as_secs_f64(),
+        stage: work.stage.unwrap_or_default().to_owned(),
+        fraction: work.fraction,
+    });
+    v1::GetStatusResponse {
+        version: status.version.to_owned(),
+        uptime_seconds: status.uptime.as_secs_f64(),
+        all_tenants: status.all_tenants,
+        running: status.running as u64,
+        queued: status.queued as u64,
+        running_limit: status.running_limit as u64,
+        queued_limit: status.queued_limit as u64,
+        sessions: status.sessions as u64,
+        setups_resident: status.setups_resident as u64,
+        setups_stored: status.setups_stored as u64,
+        stored_bytes: status.stored_bytes,
+        setup_cache: Some(cache(status.setup_cache)),
+        linearisation_cache: Some(cache(status.linearisation_cache)),
+        work: work.collect(),
     }
 }
 
@@ -156,20 +299,17 @@ fn design_point(
         if columns != 3 {
             return Err(ServiceError::invalid(format!("{field}.shape[1]"), format!("{columns} is not 3")));
         }
-        Ok((component, float64(&field, &array)?.as_chunks::<3>().0.to_vec()))
+        check_float64(&field, &array)?;
+        Ok((component, of_points(&array.data)))
     });
     Ok(Design { values, control_points: control_points.collect::<Result<_, ServiceError>>()? })
 }
 
 /// Where a derivative is taken.
 pub fn at(point: Option<v1::LinearisationPoint>) -> Result<At, ServiceError> {
-    match point.and_then(|point| point.at) {
-        Some(linearisation_point::At::LinearisationId(id)) => Ok(At::Id(id)),
-        Some(linearisation_point::At::DesignPoint(point)) => {
-            Ok(At::Design(design_point("at.design_point.", point)?))
-        }
-        None => Err(ServiceError::invalid("at", "is missing: name a linearisation, or send a design point")),
-    }
+    let v1::LinearisationPoint { linearisation_id, design_point: point } = point.unwrap_or_default();
+    let design = point.map(|point| design_point("at.design_point.", point)).transpose()?;
+    Ok(At { id: (!linearisation_id.is_empty()).then_some(linearisation_id), design })
 }
 
 pub fn directions(
@@ -301,7 +441,11 @@ fn points(points: &[[f64; 3]]) -> v1::Array {
 fn numbers<'a>(shape: &[usize], parts: impl IntoIterator<Item = &'a [f64]>) -> v1::Array {
     let mut data = Vec::with_capacity(size_of::<f64>() * shape.iter().product::<usize>());
     for part in parts {
-        part.iter().for_each(|value| data.extend_from_slice(&value.to_le_bytes()));
+        if cfg!(target_endian = "little") {
+            data.extend_from_slice(bytemuck::cast_slice(part));
+        } else {
+            part.iter().for_each(|value| data.extend_from_slice(&value.to_le_bytes()));
+        }
     }
     array(DataType::Float64, shape, data)
 }
@@ -328,20 +472,47 @@ fn shape<const N: usize>(field: &str, array: &v1::Array) -> Result<[u64; N], Ser
     Ok(shape)
 }
 
-fn float64(field: &str, array: &v1::Array) -> Result<Vec<f64>, ServiceError> {
+/// # Errors
+/// `InvalidArgument` for elements of another type.
+fn check_float64(field: &str, array: &v1::Array) -> Result<(), ServiceError> {
     if array.dtype() != DataType::Float64 {
         return Err(ServiceError::invalid(
             format!("{field}.dtype"),
             format!("{} is not DATA_TYPE_FLOAT64", array.dtype().as_str_name()),
         ));
     }
-    Ok(array.data.as_chunks::<8>().0.iter().map(|bytes| f64::from_le_bytes(*bytes)).collect())
+    Ok(())
+}
+
+/// Little-endian numbers of any alignment, one by one or in points.
+fn elements<T: bytemuck::Pod>(bytes: &[u8], swap: impl Fn(&mut T)) -> Vec<T> {
+    let mut elements = bytemuck::pod_collect_to_vec(bytes);
+    if cfg!(target_endian = "big") {
+        elements.iter_mut().for_each(swap);
+    }
+    elements
+}
+
+fn of_numbers(bytes: &[u8]) -> Vec<f64> {
+    elements(bytes, |number: &mut f64| *number = f64::from_bits(number.to_bits().swap_bytes()))
+}
+
+fn of_points(bytes: &[u8]) -> Vec<[f64; 3]> {
+    elements(bytes, |point: &mut [f64; 3]| {
+        point.iter_mut().for_each(|number| *number = f64::from_bits(number.to_bits().swap_bytes()));
+    })
+}
+
+fn float64(field: &str, array: &v1::Array) -> Result<Vec<f64>, ServiceError> {
+    check_float64(field, array)?;
+    Ok(of_numbers(&array.data))
 }
 
 /// Vectors of numbers: (k, length).
 fn vectors(field: &str, array: &v1::Array) -> Result<Vec<Vec<f64>>, ServiceError> {
     let [_, length] = filled(field, array)?;
-    Ok(float64(field, array)?.chunks_exact(length).map(<[f64]>::to_vec).collect())
+    check_float64(field, array)?;
+    Ok(array.data.chunks_exact(size_of::<f64>() * length).map(of_numbers).collect())
 }
 
 /// Vectors of points: (k, length, 3).
@@ -350,8 +521,8 @@ fn point_vectors(field: &str, array: &v1::Array) -> Result<Vec<Vec<[f64; 3]>>, S
     if columns != 3 {
         return Err(ServiceError::invalid(format!("{field}.shape[2]"), format!("{columns} is not 3")));
     }
-    let values = float64(field, array)?;
-    Ok(values.as_chunks::<3>().0.chunks_exact(length).map(<[[f64; 3]]>::to_vec).collect())
+    check_float64(field, array)?;
+    Ok(array.data.chunks_exact(size_of::<[f64; 3]>() * length).map(of_points).collect())
 }
 
 /// The extents, none of which is zero.
@@ -428,7 +599,6 @@ mod tests {
         let read = seeds(Some(array(&[2, 5, 3])), Some(array(&[2, 4]))).unwrap();
         assert_eq!(read.vertices, Some(vec![vec![[0.0; 3]; 5]; 2]));
         assert_eq!(read.functions, Some(vec![vec![0.0; 4]; 2]));
-        assert_eq!(field(at(None).unwrap_err()), "at");
     }
 
     #[test]

@@ -1,0 +1,118 @@
+#include "connection.hpp"
+
+#include <grpc/grpc.h>
+#include <grpcpp/create_channel.h>
+#include <grpcpp/security/credentials.h>
+#include <grpcpp/support/channel_arguments.h>
+
+#include <algorithm>
+#include <fstream>
+#include <iterator>
+#include <limits>
+#include <random>
+#include <stdexcept>
+
+#include "cancellation.hpp"
+#include "errors.hpp"
+
+namespace moldline::internal {
+
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+std::string content(const std::filesystem::path& file) {
+  if (file.empty()) return {};
+  std::ifstream stream(file, std::ios::binary);
+  std::string text{std::istreambuf_iterator<char>(stream), std::istreambuf_iterator<char>()};
+  if (!stream) throw std::invalid_argument("cannot read " + file.string());
+  return text;
+}
+
+std::shared_ptr<grpc::ChannelCredentials> credentials(const std::optional<Tls>& tls) {
+  if (!tls) return grpc::InsecureChannelCredentials();
+  if (tls->certificate.empty() != tls->key.empty()) {
+    throw std::invalid_argument("a certificate needs its key, and a key its certificate");
+  }
+  grpc::SslCredentialsOptions files;
+  files.pem_root_certs = content(tls->authorities);
+  files.pem_cert_chain = content(tls->certificate);
+  files.pem_private_key = content(tls->key);
+  return grpc::SslCredentials(files);
+}
+
+grpc::ChannelArguments arguments(const std::optional<Tls>& tls) {
+  grpc::ChannelArguments arguments;
+  arguments.SetMaxReceiveMessageSize(512 << 20);
+  arguments.SetMaxSendMessageSize(512 << 20);
+  // Two clients in one process are two connections.
+  arguments.SetInt(GRPC_ARG_USE_LOCAL_SUBCHANNEL_POOL, 1);
+  // A server that comes back is found at once, not minutes later.
+  arguments.SetInt(GRPC_ARG_INITIAL_RECONNECT_BACKOFF_MS, 100);
+  arguments.SetInt(GRPC_ARG_MAX_RECONNECT_BACKOFF_MS, 2000);
+  // A server that has gone without a word is noticed while a long call waits for it.
+  arguments.SetInt(GRPC_ARG_KEEPALIVE_TIME_MS, 60'000);
+  if (tls && !tls->server_name.empty()) arguments.SetSslTargetNameOverride(tls->server_name);
+  return arguments;
+}
+
+std::mt19937_64& generator() {
+  thread_local std::mt19937_64 generator{std::random_device{}()};
+  return generator;
+}
+
+bool again(const Failure& failure) {
+  return failure.code == grpc::StatusCode::UNAVAILABLE ||
+         (failure.code == grpc::StatusCode::RESOURCE_EXHAUSTED && failure.retry_after);
+}
+
+}  // namespace
+
+Connection::Connection(const std::string& address, const Options& options)
+    : options_(options),
+      stub_(v1::MeshService::NewStub(
+          grpc::CreateCustomChannel(address, credentials(options.tls), arguments(options.tls)))) {}
+
+Budget Connection::budget(const CallOptions& options, Seconds otherwise) const {
+  const Seconds timeout = options.timeout.value_or(otherwise);
+  // More than a century is no limit: the clock could not count it.
+  const bool limited = timeout < std::chrono::hours(24 * 365 * 100);
+  return {
+      limited ? Clock::now() + std::chrono::duration_cast<Clock::duration>(timeout) : Clock::time_point::max(),
+      options.cancellation};
+}
+
+void Connection::attempts(
+    const Budget& budget, const std::function<grpc::Status(grpc::ClientContext&)>& attempt) const {
+  Seconds longest = options_.retry.first_pause;
+  for (int failed = 1;; ++failed) {
+    grpc::ClientContext context;
+    if (!options_.token.empty()) context.AddMetadata("authorization", "Bearer " + options_.token);
+    if (budget.end != Clock::time_point::max()) {
+      context.set_deadline(std::chrono::system_clock::now() + (budget.end - Clock::now()));
+    }
+    grpc::Status status;
+    {
+      const Cancellable cancellable(budget.cancellation, context);
+      status = attempt(context);
+    }
+    if (status.ok()) return;
+    const Failure failed_with = failure(status);
+    if (!again(failed_with) || failed >= options_.retry.attempts) raise(failed_with);
+    std::uniform_real_distribution<double> share(0.0, 1.0);
+    const Seconds pause = failed_with.retry_after.value_or(Seconds(0.0)) + share(generator()) * longest;
+    longest = std::min(2.0 * longest, options_.retry.longest_pause);
+    if (budget.end != Clock::time_point::max() && pause >= budget.end - Clock::now()) raise(failed_with);
+    sleep(pause, budget.cancellation);
+  }
+}
+
+std::string new_request_id() {
+  static constexpr char digits[] = "0123456789abcdef";
+  std::random_device random;
+  std::string id(32, '0');
+  for (char& digit : id) digit = digits[random() % 16];
+  return id;
+}
+
+}  // namespace moldline::internal

@@ -1,0 +1,63 @@
+#include "errors.hpp"
+
+#include "moldline/client/error_details.pb.h"
+
+namespace moldline::internal {
+
+namespace {
+
+/// Reads `any` if it is a `google.rpc.NAME`.
+template <class Message>
+std::optional<Message> unpacked(const google::protobuf::Any& any, const std::string& name) {
+  Message message;
+  if (any.type_url() == "type.googleapis.com/google.rpc." + name && message.ParseFromString(any.value())) return message;
+  return std::nullopt;
+}
+
+}  // namespace
+
+Failure failure(const grpc::Status& status) {
+  Failure failure{status.error_code(), status.error_message(), {}, std::nullopt};
+  client::Status rich;
+  if (!rich.ParseFromString(status.error_details())) return failure;
+  for (const auto& detail : rich.details()) {
+    if (const auto bad_request = unpacked<client::BadRequest>(detail, "BadRequest")) {
+      for (const auto& fault : bad_request->field_violations()) {
+        failure.violations.push_back({fault.field(), fault.description()});
+      }
+    } else if (const auto retry = unpacked<client::RetryInfo>(detail, "RetryInfo")) {
+      const auto& delay = retry->retry_delay();
+      failure.retry_after = Seconds(static_cast<double>(delay.seconds()) + 1e-9 * delay.nanos());
+    }
+  }
+  return failure;
+}
+
+namespace {
+
+template <class Kind>
+[[noreturn]] void raise_as(const Failure& failure) {
+  throw Kind(failure.message, failure.violations, failure.retry_after);
+}
+
+}  // namespace
+
+void raise(const Failure& failure) {
+  switch (failure.code) {
+    case grpc::StatusCode::INVALID_ARGUMENT: raise_as<InvalidArgument>(failure);
+    case grpc::StatusCode::NOT_FOUND: raise_as<NotFound>(failure);
+    case grpc::StatusCode::ALREADY_EXISTS: raise_as<AlreadyExists>(failure);
+    case grpc::StatusCode::ABORTED: raise_as<Aborted>(failure);
+    case grpc::StatusCode::UNAUTHENTICATED: raise_as<Unauthenticated>(failure);
+    case grpc::StatusCode::PERMISSION_DENIED: raise_as<PermissionDenied>(failure);
+    case grpc::StatusCode::FAILED_PRECONDITION: raise_as<FailedPrecondition>(failure);
+    case grpc::StatusCode::RESOURCE_EXHAUSTED: raise_as<ResourceExhausted>(failure);
+    case grpc::StatusCode::OUT_OF_RANGE: raise_as<OutOfRange>(failure);
+    case grpc::StatusCode::CANCELLED: raise_as<Cancelled>(failure);
+    case grpc::StatusCode::DEADLINE_EXCEEDED: raise_as<DeadlineExceeded>(failure);
+    case grpc::StatusCode::UNAVAILABLE: raise_as<Unavailable>(failure);
+    default: raise_as<InternalError>(failure);
+  }
+}
+
+}  // namespace moldline::internal

@@ -1,0 +1,118 @@
+"""What is known of set-ups and sessions without asking the server again."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from datetime import datetime
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from moldline import convert
+from moldline.model import DesignPoint, Function, SessionState, SetupAccess, Variable, VariableGroup
+from moldline.v1 import mesh_service_pb2 as wire
+
+
+class SetupFacts:
+    """A set-up as it was described."""
+
+    def __init__(self, description: wire.SetupDescription, *, built: bool) -> None:
+        #: Hash of its content.
+        self.id: str = description.setup_id
+        #: Whether it was new to the caller when the call that returned this created it.
+        self.built = built
+        #: The title its author gave it.
+        self.name: str = description.name
+        #: Who may use it.
+        self.access: SetupAccess = convert.access(description.access)
+        #: What was found, as text and as parsed JSON.
+        self.report_text: str = description.report_text
+        self.report: dict[str, Any] = json.loads(description.report_json)
+        #: In the order of a design's entries.
+        self.variables: tuple[Variable, ...] = tuple(
+            Variable(v.name, v.unit, v.baseline, v.lower, v.upper) for v in description.variables
+        )
+        #: Declared variables by name.
+        self.groups: dict[str, VariableGroup] = {group.name: _group(group) for group in description.groups}
+        #: Names of the components.
+        self.components: tuple[str, ...] = tuple(description.components)
+        #: How many control points each component has.
+        self.control_point_counts: dict[str, int] = dict(
+            zip(self.components, description.control_point_counts, strict=True)
+        )
+        #: The scalar outputs besides the vertices.
+        self.functions: tuple[Function, ...] = tuple(Function(f.name, f.unit, f.value) for f in description.functions)
+        self.vertex_count: int = description.vertex_count
+        self.cell_count: int = description.cell_count
+        #: Seconds that the engine took to build it.
+        self.build_seconds: float = description.build_seconds
+
+    @property
+    def baseline(self) -> NDArray[np.float64]:
+        """float64, (number of variables): the design of the reference geometry."""
+        return np.array([variable.baseline for variable in self.variables])
+
+    @property
+    def bounds(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Lower and upper bounds, float64, (number of variables) each; may be infinite."""
+        lower = np.array([variable.lower for variable in self.variables])
+        return lower, np.array([variable.upper for variable in self.variables])
+
+    def by_function(self, values: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+        """The columns of `values`, (..., number of functions), by name."""
+        return {function.name: values[..., index] for index, function in enumerate(self.functions)}
+
+    def weights(self, weights: Mapping[str, ArrayLike]) -> NDArray[np.float64]:
+        """Weights by name, each a number or (k,), as one array, (number of functions,) or (k, number of functions)."""
+        names = [function.name for function in self.functions]
+        if unknown := sorted(set(weights) - set(names)):
+            raise ValueError(f"there is no function {', '.join(unknown)}; there are: {', '.join(names)}")
+        given = np.broadcast_arrays(*(np.asarray(weight, dtype=np.float64) for weight in weights.values()))
+        all_weights = np.zeros((*(given[0].shape if given else ()), len(names)))
+        for name, weight in zip(weights, given, strict=True):
+            all_weights[..., names.index(name)] = weight
+        return all_weights
+
+    def __repr__(self) -> str:
+        sizes = f"{self.vertex_count} vertices, {self.cell_count} cells, {len(self.variables)} variables"
+        return f"<{type(self).__name__} {self.name!r} {self.id[:12]}: {sizes}>"
+
+
+def _group(group: wire.VariableGroup) -> VariableGroup:
+    shape = tuple(group.shape)
+    return VariableGroup(group.name, slice(group.first, group.first + int(np.prod(shape))), shape)
+
+
+class SessionFacts:
+    """A session as it was when it was last opened, resumed, updated or refreshed here."""
+
+    def __init__(self, state: SessionState) -> None:
+        #: All of it.
+        self.state = state
+
+    @property
+    def id(self) -> str:
+        """Name of the session on the server."""
+        return self.state.id
+
+    @property
+    def label(self) -> str:
+        """For people."""
+        return self.state.label
+
+    @property
+    def generation(self) -> int:
+        """How often it has been stored."""
+        return self.state.generation
+
+    @property
+    def design(self) -> DesignPoint:
+        """The design that was stored last."""
+        return self.state.design or DesignPoint()
+
+    @property
+    def updated(self) -> datetime:
+        """When it was stored last, UTC."""
+        return self.state.updated

@@ -1,0 +1,363 @@
+"""What clients do, apart from waiting.
+
+An operation is a generator: it yields calls, is sent their answers (or their errors are thrown into it), and returns its
+result. :mod:`moldline.client` runs operations by blocking, :mod:`moldline.aio` by awaiting; there is nothing else in
+which they differ.
+"""
+
+from __future__ import annotations
+
+import os
+import uuid
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from moldline import arrays, convert, upload
+from moldline.errors import InternalError, NotFound
+from moldline.facts import SetupFacts
+from moldline.mesh import Mesh
+from moldline.model import (
+    At,
+    Deformation,
+    DesignPoint,
+    Gradients,
+    Jacobian,
+    Linearisation,
+    Progress,
+    SessionState,
+    SetupAccess,
+    SetupSummary,
+    Status,
+    Tangents,
+    Visibility,
+)
+from moldline.progress import Tell
+from moldline.v1 import mesh_service_pb2 as wire
+
+#: Vectors and bytes of one request, within the server's usual limits; larger blocks go in several requests.
+_VECTORS = 64
+_REQUEST = 32 << 20
+
+
+@dataclass(frozen=True)
+class Call:
+    """One call of an RPC, which may take several attempts."""
+
+    method: str
+    #: The request; or makes the messages of an upload, anew for each attempt.
+    request: Any | Callable[[], Iterator[Any]]
+    #: Makes what takes the answer's messages one by one, anew for each attempt; `None` where the answer is one message.
+    receiver: Callable[[], Callable[[Any], None]] | None = None
+
+    def messages(self) -> Any:
+        """What to send."""
+        return self.request() if callable(self.request) else self.request
+
+
+T = TypeVar("T")
+Operation = Generator[Call, Any, T]
+
+
+def create_setup(
+    path: str | os.PathLike[str],
+    setup_file: str,
+    request_id: str | None,
+    visibility: Visibility | None,
+    shared_with: Iterable[str],
+    tell: Tell,
+) -> Operation[wire.CreatedSetup]:
+    """Uploads and builds."""
+    header = wire.SetupHeader(request_id=_request_id(request_id), setup_file=setup_file)
+    convert.write_sharing(visibility, shared_with, header)
+    files = upload.files(path, header)
+    created: list[wire.CreatedSetup] = []
+
+    def receive(event: wire.CreateSetupResponse) -> None:
+        if event.HasField("created"):
+            created[:] = [event.created]
+        else:
+            tell(Progress(event.progress.stage, event.progress.fraction, event.progress.message))
+
+    yield Call("CreateSetup", lambda: upload.messages(header, files), lambda: receive)
+    if not created:
+        raise InternalError("the server ended without a result")
+    return created[0]
+
+
+def get_setup(setup_id: str) -> Operation[wire.SetupDescription]:
+    """Describes."""
+    response: wire.GetSetupResponse = yield Call("GetSetup", wire.GetSetupRequest(setup_id=setup_id))
+    return response.setup
+
+
+def mesh(setup: SetupFacts) -> Operation[Mesh]:
+    """The reference mesh."""
+    response = yield Call("GetSetup", wire.GetSetupRequest(setup_id=setup.id, include_mesh=True))
+    return convert.mesh(response.mesh, setup.components)
+
+
+def control_points(setup: SetupFacts) -> Operation[dict[str, NDArray[np.float64]]]:
+    """Those of the baseline."""
+    response = yield Call("GetSetup", wire.GetSetupRequest(setup_id=setup.id, include_control_points=True))
+    return convert.control_points(response.control_points)
+
+
+def list_setups() -> Operation[list[SetupSummary]]:
+    """Page after page."""
+    setups: list[SetupSummary] = []
+    request = wire.ListSetupsRequest()
+    while True:
+        page = yield Call("ListSetups", request)
+        setups += map(convert.setup_summary, page.setups)
+        if not page.next_page_token:
+            return setups
+        request = wire.ListSetupsRequest(page_token=page.next_page_token)
+
+
+def share_setup(setup_id: str, visibility: Visibility, shared_with: Iterable[str]) -> Operation[SetupAccess]:
+    """Changes who else may use it."""
+    request = wire.ShareSetupRequest(setup_id=setup_id)
+    convert.write_sharing(visibility, shared_with, request)
+    response = yield Call("ShareSetup", request)
+    return convert.access(response.access)
+
+
+def delete_setup(setup_id: str) -> Operation[None]:
+    """Gives it up; without effect the second time."""
+    yield from _gone(Call("DeleteSetup", wire.DeleteSetupRequest(setup_id=setup_id)))
+
+
+def open_session(setup_id: str, label: str, request_id: str | None) -> Operation[SessionState]:
+    """Opens."""
+    request = wire.OpenSessionRequest(setup_id=setup_id, label=label, request_id=_request_id(request_id))
+    response = yield Call("OpenSession", request)
+    return convert.session_state(response.session)
+
+
+def get_session(session_id: str) -> Operation[SessionState]:
+    """Reads."""
+    response = yield Call("GetSession", wire.GetSessionRequest(session_id=session_id))
+    return convert.session_state(response.session)
+
+
+def resume(session_id: str) -> Operation[tuple[SessionState, wire.SetupDescription]]:
+    """Reads, with the set-up."""
+    state = yield from get_session(session_id)
+    return state, (yield from get_setup(state.setup_id))
+
+
+def list_sessions() -> Operation[list[SessionState]]:
+    """Page after page."""
+    sessions: list[SessionState] = []
+    request = wire.ListSessionsRequest()
+    while True:
+        page = yield Call("ListSessions", request)
+        sessions += map(convert.session_state, page.sessions)
+        if not page.next_page_token:
+            return sessions
+        request = wire.ListSessionsRequest(page_token=page.next_page_token)
+
+
+def update_session(
+    state: SessionState,
+    design: Mapping[str, float] | ArrayLike | None,
+    points: Mapping[str, ArrayLike] | None,
+    label: str | None,
+) -> Operation[SessionState]:
+    """Stores design and label on top of the generation of `state`."""
+    request = wire.UpdateSessionRequest(
+        session_id=state.id, expected_generation=state.generation, label=label, request_id=_request_id(None)
+    )
+    if design is not None or points is not None:
+        request.design.SetInParent()
+        convert.write_point(DesignPoint(design, points), request.design)
+    response = yield Call("UpdateSession", request)
+    return convert.session_state(response.session)
+
+
+def close_session(session_id: str) -> Operation[None]:
+    """Closes; without effect the second time."""
+    yield from _gone(Call("CloseSession", wire.CloseSessionRequest(session_id=session_id)))
+
+
+def status() -> Operation[Status]:
+    """The server's."""
+    response = yield Call("GetStatus", wire.GetStatusRequest())
+    return convert.status(response)
+
+
+def deform(
+    setup: SetupFacts,
+    session_id: str,
+    design: Mapping[str, float] | ArrayLike | None,
+    points: Mapping[str, ArrayLike] | None,
+    cell_quality: bool,
+) -> Operation[Deformation]:
+    """The mesh at a design."""
+    point = convert.copied(design, points)
+    request = wire.DeformRequest(session_id=session_id, include_cell_quality=cell_quality)
+    convert.write_point(point, request)
+    response = yield Call("Deform", request)
+    return convert.deformation(response, point, setup.functions)
+
+
+def jvp(
+    setup: SetupFacts,
+    session_id: str,
+    directions: ArrayLike | None,
+    points: Mapping[str, ArrayLike] | None,
+    at: At,
+) -> Operation[Tangents]:
+    """`J v`, block after block."""
+    blocks = _Blocks(setup)
+    if directions is not None:
+        blocks.add("directions", directions, 1)
+    points = points or {}
+    for component, vectors in points.items():
+        blocks.add(f"control_points[{component!r}]", vectors, 2)
+    parts = []
+    for piece in blocks.pieces():
+        request = wire.ApplyJacobianVectorRequest(session_id=session_id, at=_at(at))
+        if directions is not None:
+            arrays.write(piece["directions"], request.design)
+        for component in points:
+            vectors = piece[f"control_points[{component!r}]"]
+            arrays.write(vectors, request.control_points.add(component=component).vectors)
+        parts.append((yield Call("ApplyJacobianVector", request)))
+    vertices = blocks.joined(part.vertices for part in parts)
+    functions = blocks.joined(part.functions for part in parts)
+    return Tangents(vertices, setup.by_function(functions), *_seconds(parts))
+
+
+def vjp(
+    setup: SetupFacts,
+    session_id: str,
+    vertices: ArrayLike | None,
+    functions: Mapping[str, ArrayLike] | ArrayLike | None,
+    at: At,
+    design: bool,
+    control_points: Iterable[str],
+) -> Operation[Gradients]:
+    """`J^T w`, block after block."""
+    blocks = _Blocks(setup)
+    if vertices is not None:
+        blocks.add("vertices", vertices, 2)
+    if functions is not None:
+        blocks.add("functions", setup.weights(functions) if isinstance(functions, Mapping) else functions, 1)
+    control_points = list(control_points)
+    parts = []
+    for piece in blocks.pieces():
+        request = wire.ApplyAdjointRequest(
+            session_id=session_id, at=_at(at), include_design=design, control_points_of=control_points
+        )
+        for name, block in piece.items():
+            arrays.write(block, getattr(request, name))
+        parts.append((yield Call("ApplyAdjoint", request)))
+    by_component = {
+        component: blocks.joined(part.control_points[index].vectors for part in parts)
+        for index, component in enumerate(control_points)
+    }
+    by_design = blocks.joined(part.design for part in parts) if design else None
+    return Gradients(by_design, by_component, *_seconds(parts))
+
+
+def jacobian(setup: SetupFacts, session_id: str, at: At, tell: Tell) -> Operation[Jacobian]:
+    """All columns, received into one array."""
+    shape = (len(setup.variables), setup.vertex_count, 3)
+    vertices = np.empty(shape)
+    functions = np.empty((shape[0], len(setup.functions)))
+    received = np.zeros(shape[0], dtype=bool)
+    parts: list[wire.JacobianResponse] = []
+
+    def receive(part: wire.JacobianResponse) -> None:
+        columns = slice(part.first, part.first + part.vertices.shape[0])
+        vertices[columns] = arrays.from_wire(part.vertices)
+        functions[columns] = arrays.from_wire(part.functions)
+        received[columns] = True
+        # Their arrays are not needed any more.
+        part.ClearField("vertices")
+        part.ClearField("functions")
+        parts.append(part)
+        tell(Progress("jacobian", columns.stop / part.columns, f"column {columns.stop} of {part.columns}"))
+
+    def receiver() -> Callable[[wire.JacobianResponse], None]:
+        received[:] = False
+        parts.clear()
+        return receive
+
+    yield Call("Jacobian", wire.JacobianRequest(session_id=session_id, at=_at(at)), receiver)
+    if not received.all():
+        raise InternalError("the server ended before the last column")
+    return Jacobian(vertices, setup.by_function(functions), *_seconds(parts))
+
+
+def _request_id(given: str | None) -> str:
+    return uuid.uuid4().hex if given is None else given
+
+
+def _gone(call: Call) -> Operation[None]:
+    """What is not there has been removed already, perhaps by an attempt whose answer was lost."""
+    try:
+        yield call
+    except NotFound:
+        pass
+
+
+def _at(at: At) -> wire.LinearisationPoint:
+    """The id where there is one, and the design, from which the server makes what it does not hold."""
+    point = wire.LinearisationPoint()
+    if isinstance(at, Deformation):
+        at = at.linearisation
+    if isinstance(at, str):
+        point.linearisation_id = at
+        return point
+    if isinstance(at, Linearisation):
+        point.linearisation_id = at.id
+        at = at.point
+    point.design_point.SetInParent()
+    convert.write_point(at if isinstance(at, DesignPoint) else DesignPoint(at), point.design_point)
+    return point
+
+
+def _seconds(parts: list[Any]) -> tuple[float, float]:
+    """Of the engine, and in the queue."""
+    return sum(part.timings.engine_seconds for part in parts), sum(part.timings.queue_seconds for part in parts)
+
+
+class _Blocks:
+    """Vectors to multiply with, by name: blocks with a first axis, cut into pieces that fit one request."""
+
+    def __init__(self, setup: SetupFacts) -> None:
+        self._blocks: dict[str, NDArray[np.float64]] = {}
+        #: Whether some had no first axis, and whether some had one.
+        self._single: set[bool] = set()
+        points = setup.vertex_count + sum(setup.control_point_counts.values())
+        self._step = max(1, min(_VECTORS, _REQUEST // (24 * points)))
+
+    def add(self, name: str, vectors: ArrayLike, dimensions: int) -> None:
+        """Vectors of `dimensions` axes each, or a single one."""
+        block = np.asarray(vectors, dtype=np.float64)
+        self._single.add(block.ndim == dimensions)
+        self._blocks[name] = block[np.newaxis] if block.ndim <= dimensions else block
+
+    def pieces(self) -> Iterator[dict[str, NDArray[np.float64]]]:
+        """The blocks, some vectors at a time."""
+        counts = {name: len(block) for name, block in self._blocks.items()}
+        if not counts:
+            raise ValueError("there is nothing to multiply with: give directions or seeds")
+        if len(set(counts.values())) > 1:
+            raise ValueError(f"all blocks have to have as many vectors, these have {counts}")
+        count = next(iter(counts.values()))
+        # Without any vector there is still a request, which is refused.
+        for start in range(0, max(count, 1), self._step):
+            yield {name: block[start : start + self._step] for name, block in self._blocks.items()}
+
+    def joined(self, parts: Iterable[Any]) -> NDArray[np.float64]:
+        """The answers to all pieces as one block; its only vector, if all that was given had no first axis."""
+        blocks = [arrays.from_wire(part) for part in parts]
+        block: NDArray[np.float64] = blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
+        return block[0] if self._single == {True} else block

@@ -1,0 +1,30 @@
+"""Telling how far something long has come."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from tqdm import tqdm
+
+from moldline.model import Progress
+
+#: What takes each step.
+Tell = Callable[[Progress], None]
+
+
+@contextmanager
+def told(progress: bool | Tell) -> Iterator[Tell]:
+    """What to tell: the caller's own function, a progress bar for each stage in turn, or nobody."""
+    if callable(progress):
+        yield progress
+        return
+    layout = "{desc:<50} {percentage:3.0f}%|{bar:30}| {elapsed}"
+    with tqdm(total=1.0, disable=not progress, bar_format=layout, leave=False) as bar:
+
+        def show(step: Progress) -> None:
+            bar.set_description_str(step.message, refresh=False)
+            bar.n = step.fraction
+            bar.refresh()
+
+        yield show

@@ -1,0 +1,35 @@
+//! Client of a Moldline server, which deforms surface meshes with their geometry.
+//!
+//! ```no_run
+//! use moldline_client::{Client, Design, Seeds};
+//!
+//! # async fn run() -> Result<(), moldline_client::Error> {
+//! let client = Client::new("127.0.0.1:50051")?;
+//! let setup = client.create_setup("examples/e175", Default::default()).await?;
+//! let session = setup.session("first steps").await?;
+//! let moved = session.deform(Design::named([("wing.translation", 5.0)])).await?;
+//! let seeds = Seeds { vertices: moved.vertices.clone(), ..Seeds::default() };
+//! let gradient = session.vjp(&seeds, &moved).await?.design;
+//! session.close().await?;
+//! # Ok(()) }
+//! ```
+//!
+//! Vertices are metres; each entry of a design is in its variable's unit. A future that is dropped cancels its call on the
+//! server.
+
+mod client;
+mod connection;
+mod convert;
+mod error;
+mod model;
+mod upload;
+
+pub use client::{Client, CreateOptions, Session, Setup, Tell};
+pub use connection::{Options, Retry, Tls};
+pub use error::{Code, Error, FieldViolation};
+pub use model::{
+    At, CacheStatus, CellQuality, ControlPoints, Deformation, Design, DesignPoint, Directions, Distribution,
+    Function, Gradients, Jacobian, Linearisation, Mesh, Point, Progress, QualityReport, QualitySummary,
+    Residuals, Seeds, SessionState, SessionUpdate, SetupAccess, SetupFacts, SetupSummary, Status, Tangents,
+    Timings, Variable, VariableGroup, Visibility, Work,
+};

@@ -1,0 +1,90 @@
+//! The HTTP transport: every RPC as a route. What it does is in `mesh`, how bodies look in `documents`, `arrays` and
+//! `replies`.
+
+mod arrays;
+mod documents;
+mod jacobian;
+mod operations;
+mod replies;
+mod sessions;
+mod setups;
+#[cfg(test)]
+mod tests;
+
+use std::sync::Arc;
+
+use moldline_transport::{Problem, media::Media};
+use utoipa::OpenApi;
+use utoipa_axum::{router::OpenApiRouter, routes};
+
+use crate::mesh::Meshes;
+use operations::Operations;
+
+/// What the handlers share.
+#[derive(Clone)]
+pub struct Http {
+    meshes: Meshes,
+    operations: Arc<Operations>,
+    /// Bytes of a body that is no upload.
+    max_body: usize,
+}
+
+impl Http {
+    /// Bytes of a body: numbers take several times as much memory as they have letters in JSON.
+    fn limit(&self, media: Media) -> usize {
+        if media == Media::Json { self.max_body / 4 } else { self.max_body }
+    }
+}
+
+/// A name that a client chose for a change, so that a retry is recognised.
+fn idempotency_key(headers: &axum::http::HeaderMap) -> String {
+    let key = headers.get("idempotency-key").and_then(|key| key.to_str().ok());
+    key.unwrap_or_default().to_owned()
+}
+
+/// All routes, with their description.
+pub fn routes(meshes: Meshes, max_body: usize) -> OpenApiRouter {
+    let http = Http { meshes, operations: Arc::default(), max_body };
+    OpenApiRouter::with_openapi(Description::openapi())
+        .routes(routes!(setups::create_setup, setups::list_setups))
+        .routes(routes!(setups::get_setup, setups::delete_setup))
+        .routes(routes!(setups::share_setup))
+        .routes(routes!(operations::get_operation, operations::cancel_operation))
+        .routes(routes!(sessions::open_session))
+        .routes(routes!(sessions::list_sessions))
+        .routes(routes!(sessions::get_session, sessions::update_session, sessions::close_session))
+        .routes(routes!(sessions::deform))
+        .routes(routes!(sessions::apply_jacobian_vector))
+        .routes(routes!(sessions::apply_adjoint))
+        .routes(routes!(jacobian::jacobian))
+        .routes(routes!(setups::get_status))
+        .with_state(http)
+}
+
+/// What is said once for all routes.
+#[derive(OpenApi)]
+#[openapi(
+    info(title = "Moldline", description = include_str!("description.md"), license(name = "Apache-2.0", identifier = "Apache-2.0")),
+    components(schemas(Problem)),
+    modifiers(&Bearer),
+    tags(
+        (name = "set-ups", description = "Geometry, mesh, parameterisation and options: immutable, named by their content."),
+        (name = "sessions", description = "Work on a set-up: a design that is stored, deformations, derivatives."),
+        (name = "server", description = "What the server does and holds."),
+    )
+)]
+struct Description;
+
+/// Bearer tokens, which a server asks for or not.
+struct Bearer;
+
+impl utoipa::Modify for Bearer {
+    fn modify(&self, openapi: &mut utoipa::openapi::OpenApi) {
+        use utoipa::openapi::security::{Http, HttpAuthScheme, SecurityRequirement, SecurityScheme};
+        let scheme = SecurityScheme::Http(Http::new(HttpAuthScheme::Bearer));
+        let components = openapi.components.get_or_insert_default();
+        components.add_security_scheme("token", scheme);
+        let none = SecurityRequirement::default();
+        openapi.security = Some(vec![none, SecurityRequirement::new("token", Vec::<String>::new())]);
+    }
+}

@@ -1,0 +1,211 @@
+//! Set-ups that are built while their client does something else: operations to poll. They live as long as the process;
+//! what they have built is stored, and posting the same content again finds it.
+
+use std::{
+    sync::{Mutex, MutexGuard, PoisonError},
+    time::{Duration, Instant},
+};
+
+use axum::{
+    extract::State,
+    http::{HeaderValue, StatusCode, header},
+    response::Response,
+};
+use moldline_proto::v1;
+use moldline_service::{Code, Principal, ServiceError, Tenant};
+use moldline_transport::{Answer, Caller, Id, Problem, Refusal, media};
+use serde::Serialize;
+use tokio::{sync::watch, task::AbortHandle};
+use tracing::{Instrument, Span};
+use utoipa::ToSchema;
+use uuid::Uuid;
+
+use super::Http;
+
+/// A set-up that is being built, or what became of it.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct Operation {
+    /// Names it, in `/v1/operations/`.
+    operation_id: String,
+    /// Whether it is over; then there is `created` or `problem`.
+    done: bool,
+    /// What was told last.
+    progress: v1::Progress,
+    /// What was made.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    created: Option<v1::CreatedSetup>,
+    /// Why nothing was made.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    problem: Option<Problem>,
+}
+
+/// Tells about progress.
+pub type Tell = Box<dyn FnMut(v1::Progress) + Send>;
+
+/// Operations that run, and those that ended not long ago.
+#[derive(Debug, Default)]
+pub struct Operations(Mutex<Vec<Entry>>);
+
+#[derive(Debug)]
+struct Entry {
+    id: String,
+    tenant: Tenant,
+    course: watch::Receiver<Course>,
+    task: AbortHandle,
+}
+
+#[derive(Debug, Default)]
+struct Course {
+    progress: v1::Progress,
+    outcome: Option<Outcome>,
+}
+
+#[derive(Debug)]
+struct Outcome {
+    when: Instant,
+    result: Result<v1::CreatedSetup, Refusal>,
+}
+
+impl Operations {
+    fn lock(&self) -> MutexGuard<'_, Vec<Entry>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Runs `work` apart from the request, and answers when it has received all that the client sends, or failed before.
+    ///
+    /// # Errors
+    /// `ResourceExhausted` if there are too many.
+    pub async fn start<F>(
+        &self,
+        caller: &Principal,
+        work: impl FnOnce(Tell) -> F,
+    ) -> Answer<Response>
+    where
+        F: Future<Output = Answer<v1::CreatedSetup>> + Send + 'static,
+    {
+        let (sender, mut course) = watch::channel(Course::default());
+        let id = Uuid::new_v4().simple().to_string();
+        let teller = sender.clone();
+        let work = work(Box::new(move |progress| teller.send_modify(|course| course.progress = progress)));
+        let run = async move {
+            let result = work.await;
+            sender.send_modify(|course| course.outcome = Some(Outcome { when: Instant::now(), result }));
+        };
+        {
+            let mut all = self.lock();
+            make_room(&mut all)?;
+            let task = tokio::spawn(run.instrument(Span::current())).abort_handle();
+            all.push(Entry { id: id.clone(), tenant: caller.tenant.clone(), course: course.clone(), task });
+        }
+        // Who goes away while it sends has sent nothing.
+        let mut pending = Pending { operations: self, id: Some(&id) };
+        let received =
+            |course: &Course| course.outcome.is_some() || !matches!(course.progress.stage.as_str(), "" | "receive");
+        let _ = course.wait_for(received).await;
+        pending.id = None;
+        let mut response = media::document(StatusCode::ACCEPTED, &describe(&id, &course.borrow()))?;
+        if let Ok(location) = HeaderValue::from_str(&format!("/v1/operations/{id}")) {
+            response.headers_mut().insert(header::LOCATION, location);
+        }
+        Ok(response)
+    }
+}
+
+/// Gives up an operation whose client has gone before it was answered.
+struct Pending<'a> {
+    operations: &'a Operations,
+    id: Option<&'a str>,
+}
+
+impl Drop for Pending<'_> {
+    fn drop(&mut self) {
+        if let Some(id) = self.id {
+            self.operations.remove(|entry| entry.id == id);
+        }
+    }
+}
+
+impl Operations {
+    /// Forgets the operation, and ends it if it runs.
+    fn remove(&self, which: impl Fn(&Entry) -> bool) -> bool {
+        let mut all = self.lock();
+        let Some(index) = all.iter().position(which) else { return false };
+        let entry = all.swap_remove(index);
+        entry.task.abort();
+        true
+    }
+}
+
+/// Forgets what ended long ago, or if there is no room, what ended first.
+fn make_room(all: &mut Vec<Entry>) -> Answer<()> {
+    const MOST: usize = 256;
+    const KEPT: Duration = Duration::from_secs(3600);
+    let ended = |entry: &Entry| entry.course.borrow().outcome.as_ref().map(|outcome| outcome.when);
+    all.retain(|entry| ended(entry).is_none_or(|when| when.elapsed() < KEPT));
+    if all.len() < MOST {
+        return Ok(());
+    }
+    let first = (0..all.len()).filter_map(|index| Some((ended(&all[index])?, index))).min();
+    let Some((_, index)) = first else {
+        let error = ServiceError::new(
+            Code::ResourceExhausted,
+            format!("{MOST} operations are under way, which is the limit; try again later"),
+        );
+        return Err(error.retry_after(Duration::from_secs(1)).into());
+    };
+    all.swap_remove(index);
+    Ok(())
+}
+
+fn describe(id: &str, course: &Course) -> Operation {
+    let result = course.outcome.as_ref().map(|outcome| &outcome.result);
+    Operation {
+        operation_id: id.to_owned(),
+        done: result.is_some(),
+        progress: course.progress.clone(),
+        created: result.and_then(|result| result.as_ref().ok()).cloned(),
+        problem: result.and_then(|result| result.as_ref().err()).map(Refusal::problem),
+    }
+}
+
+/// How far a set-up has come
+#[utoipa::path(
+    get, path = "/v1/operations/{operation_id}", operation_id = "GetOperation", tag = "set-ups",
+    params(("operation_id" = String, Path)),
+    responses(
+        (status = 200, description = "What it does, or what became of it.", body = Operation),
+        (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub async fn get_operation(
+    State(http): State<Http>,
+    Caller(caller): Caller,
+    Id(id): Id,
+) -> Answer<Response> {
+    let all = http.operations.lock();
+    let entry = all.iter().find(|entry| entry.id == id && entry.tenant == caller.tenant);
+    let entry = entry.ok_or_else(|| ServiceError::not_found("operation", &id))?;
+    media::document(StatusCode::OK, &describe(&id, &entry.course.borrow()))
+}
+
+/// Gives up a set-up that is being built
+#[utoipa::path(
+    delete, path = "/v1/operations/{operation_id}", operation_id = "CancelOperation", tag = "set-ups",
+    params(("operation_id" = String, Path)),
+    responses(
+        (status = 204, description = "It is forgotten, and ended if nobody else waits for it."),
+        (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub async fn cancel_operation(
+    State(http): State<Http>,
+    Caller(caller): Caller,
+    Id(id): Id,
+) -> Answer<StatusCode> {
+    match http.operations.remove(|entry| entry.id == id && entry.tenant == caller.tenant) {
+        true => Ok(StatusCode::NO_CONTENT),
+        false => Err(ServiceError::not_found("operation", &id).into()),
+    }
+}

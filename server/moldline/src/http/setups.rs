@@ -1,0 +1,338 @@
+//! Set-ups over HTTP.
+
+use std::sync::Arc;
+
+use axum::{
+    body::{Body, Bytes},
+    extract::State,
+    http::{HeaderMap, HeaderValue, StatusCode, header},
+    response::Response,
+};
+use moldline_proto::v1;
+use moldline_service::{Principal, ServiceError};
+use moldline_transport::{
+    Answer, Caller, Deadline, Id, Problem, Query, Refusal,
+    media::{self, ARRAYS, Media},
+};
+use serde::Deserialize;
+use tokio::{
+    sync::mpsc,
+    time::{Duration, sleep},
+};
+use tokio_stream::{StreamExt, wrappers::UnboundedReceiverStream};
+use tracing::{Instrument, Span};
+use utoipa::IntoParams;
+
+use super::{
+    Http,
+    documents::{ShareSetup, Visibility},
+    idempotency_key,
+    operations::{Operation, Tell},
+};
+use crate::convert;
+
+/// How an upload is described.
+#[derive(Debug, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub struct Upload {
+    /// The file in the archive that describes the set-up; `setup.toml` or `setup.json` if absent.
+    setup_file: Option<String>,
+    /// Who else may use it; if absent nobody, or whoever might before.
+    #[param(inline)]
+    visibility: Option<Visibility>,
+    /// Tenants, separated by commas, with `visibility=tenants`.
+    shared_with: Option<String>,
+}
+
+/// Uploads and builds a set-up
+///
+/// The body is an archive of the set-up's folder, or a set-up file that needs no others. The answer comes when it is
+/// built; with `Accept: text/event-stream` it is a stream of `progress` events and one `created` or `problem` at the end;
+/// with `Prefer: respond-async` it is an operation to poll. The same content again is answered from the set-up that exists.
+#[utoipa::path(
+    post, path = "/v1/setups", operation_id = "CreateSetup", tag = "set-ups",
+    params(
+        Upload,
+        ("Idempotency-Key" = Option<String>, Header, description = "Chosen by the client, so that a retry is recognised."),
+        ("Prefer" = Option<String>, Header, description = "`respond-async` answers an operation as soon as the body is there."),
+    ),
+    request_body(content(
+        (Vec<u8> = "application/x-tar"), (Vec<u8> = "application/gzip"), (Vec<u8> = "application/zip"),
+        (serde_json::Value = "application/json"), (String = "application/toml"),
+    ), description = "An archive (tar, tar.gz, zip), or `setup.json` or `setup.toml` alone. Its length has to be announced."),
+    responses(
+        (status = 200, description = "It exists.", content(
+            (v1::CreatedSetup = "application/json"), (String = "text/event-stream"),
+        )),
+        (status = 201, description = "It is new to the caller.", body = v1::CreatedSetup, headers(("Location" = String))),
+        (status = 202, description = "It is being built.", body = Operation, headers(("Location" = String))),
+        (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub async fn create_setup(
+    State(http): State<Http>,
+    Caller(caller): Caller,
+    axum::Extension(deadline): axum::Extension<Deadline>,
+    Query(upload): Query<Upload>,
+    headers: HeaderMap,
+    body: Body,
+) -> Answer<Response> {
+    let media = Media::accepted(&headers, &[Media::Json, Media::Events])?;
+    let header = announced(&http, upload, &headers)?;
+    if media == Media::Events {
+        return Ok(events(http, caller, deadline, header, body));
+    }
+    let prefer = headers.get_all("prefer").iter();
+    if prefer.filter_map(|value| value.to_str().ok()).any(|value| value.contains("respond-async")) {
+        let (operations, owner) = (Arc::clone(&http.operations), caller.clone());
+        let work = move |tell: Tell| async move { receive(&http, &caller, header, body, tell).await };
+        return operations.start(&owner, work).await;
+    }
+    let created = receive(&http, &caller, header, body, |_| {}).await?;
+    answer(&created)
+}
+
+fn answer(created: &v1::CreatedSetup) -> Answer<Response> {
+    let status = if created.built { StatusCode::CREATED } else { StatusCode::OK };
+    let mut response = media::document(status, created)?;
+    let location = format!("/v1/setups/{}", created.setup_id);
+    if let Ok(location) = HeaderValue::from_str(&location) {
+        response.headers_mut().insert(header::LOCATION, location);
+    }
+    Ok(response)
+}
+
+/// What the request says of the bytes to come.
+fn announced(http: &Http, upload: Upload, headers: &HeaderMap) -> Answer<v1::SetupHeader> {
+    use v1::ArchiveKind::{Tar, TarGz, Zip};
+    let limit = http.meshes.service().limits().upload_bytes;
+    let length = media::length(headers, limit)?.ok_or_else(|| {
+        let error = ServiceError::invalid("content-length", "is missing: announce the length of the upload");
+        Refusal::with(StatusCode::LENGTH_REQUIRED, error)
+    })?;
+    let kind = headers.get(header::CONTENT_TYPE).and_then(|kind| kind.to_str().ok()).unwrap_or_default();
+    let archive = |kind: v1::ArchiveKind| {
+        v1::setup_header::Source::Archive(v1::Archive { kind: kind.into(), size: length })
+    };
+    let file = |path: &str| {
+        let files = vec![v1::FileEntry { path: path.to_owned(), size: length }];
+        v1::setup_header::Source::Files(v1::FileList { files })
+    };
+    let source = match kind.split(';').next().unwrap_or_default().trim().to_ascii_lowercase().as_str() {
+        "application/x-tar" => archive(Tar),
+        "application/gzip" | "application/x-gzip" | "application/x-tgz" => archive(TarGz),
+        "application/zip" => archive(Zip),
+        "application/json" => file("setup.json"),
+        "application/toml" => file("setup.toml"),
+        _ => {
+            return Err(media::unsupported(
+                "this takes application/x-tar, application/gzip, application/zip, application/json and application/toml",
+            ));
+        }
+    };
+    let shared_with = upload.shared_with.as_deref().unwrap_or_default().split(',').map(str::trim);
+    Ok(v1::SetupHeader {
+        request_id: idempotency_key(headers),
+        setup_file: upload.setup_file.unwrap_or_default(),
+        source: Some(source),
+        visibility: upload.visibility.map_or(v1::Visibility::Unspecified, Into::into).into(),
+        shared_with: shared_with.filter(|name| !name.is_empty()).map(str::to_owned).collect(),
+    })
+}
+
+/// Receives and builds.
+async fn receive(
+    http: &Http,
+    caller: &Principal,
+    header: v1::SetupHeader,
+    mut body: Body,
+    tell: impl FnMut(v1::Progress),
+) -> Answer<v1::CreatedSetup> {
+    let header = convert::upload(header)?;
+    let most = http.meshes.service().limits().chunk_bytes;
+    let mut rest = Bytes::new();
+    let next = async || {
+        while rest.is_empty() {
+            match media::next(&mut body).await? {
+                None => return Ok::<_, Refusal>(None),
+                Some(data) => rest = data,
+            }
+        }
+        let some = rest.split_to(rest.len().min(most));
+        Ok(Some((0, some)))
+    };
+    http.meshes.create_setup(caller, header, next, tell, Refusal::from).await
+}
+
+/// The same as server-sent events.
+fn events(
+    http: Http,
+    caller: Principal,
+    deadline: Deadline,
+    header: v1::SetupHeader,
+    body: Body,
+) -> Response {
+    /// Between words that keep proxies from closing a silent connection.
+    const SILENCE: Duration = Duration::from_secs(15);
+    let (sender, events) = mpsc::unbounded_channel();
+    let work = async move {
+        let send = |text: String| sender.send(Bytes::from(text)).is_ok();
+        let tell = |progress: v1::Progress| {
+            send(event("progress", &progress));
+        };
+        let work = deadline.limit(receive(&http, &caller, header, body, tell), Refusal::from);
+        tokio::pin!(work);
+        let outcome = loop {
+            tokio::select! {
+                outcome = &mut work => break outcome,
+                // The client has gone: the upload and the interest in the build go with this future.
+                () = sender.closed() => return,
+                () = sleep(SILENCE) => { send(":\n\n".to_owned()); }
+            }
+        };
+        send(match outcome {
+            Ok(created) => event("created", &created),
+            Err(refusal) => event("problem", &refusal.problem()),
+        });
+    };
+    tokio::spawn(work.instrument(Span::current()));
+    let frames = UnboundedReceiverStream::new(events).map(Ok::<_, std::convert::Infallible>);
+    let mut response = Response::new(Body::from_stream(frames));
+    let headers = response.headers_mut();
+    headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(Media::Events.name()));
+    headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
+    response
+}
+
+fn event(name: &str, content: &impl serde::Serialize) -> String {
+    let content = serde_json::to_string(content).unwrap_or_default();
+    format!("event: {name}\ndata: {content}\n\n")
+}
+
+/// A part of a list.
+#[derive(Debug, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub struct Page {
+    /// Most entries of the answer; 0 and more than the server's limit are its limit.
+    #[serde(default)]
+    pub page_size: u32,
+    /// As the answer before gave it; empty for the first page.
+    #[serde(default)]
+    pub page_token: String,
+}
+
+/// Lists the set-ups that the caller may use
+///
+/// Its own, those shared with it, and public ones.
+#[utoipa::path(
+    get, path = "/v1/setups", operation_id = "ListSetups", tag = "set-ups", params(Page),
+    responses(
+        (status = 200, description = "Set-ups in the order of their ids.", body = v1::ListSetupsResponse),
+        (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub async fn list_setups(
+    State(http): State<Http>,
+    Caller(caller): Caller,
+    Query(Page { page_size, page_token }): Query<Page>,
+) -> Answer<Response> {
+    let listed = http.meshes.list_setups(&caller, v1::ListSetupsRequest { page_size, page_token }).await?;
+    media::document(StatusCode::OK, &listed)
+}
+
+/// What is wanted of a set-up.
+#[derive(Debug, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub struct GetSetup {
+    /// Whether the reference mesh is wanted too. Binary answers are its arrays, the vertices first.
+    #[serde(default)]
+    include_mesh: bool,
+    /// Whether the control points of the baseline are wanted too.
+    #[serde(default)]
+    include_control_points: bool,
+}
+
+/// Describes a set-up
+///
+/// Report, variables, sizes; on demand its reference mesh and control points.
+#[utoipa::path(
+    get, path = "/v1/setups/{setup_id}", operation_id = "GetSetup", tag = "set-ups",
+    params(("setup_id" = String, Path), GetSetup),
+    responses(
+        (status = 200, description = "The set-up.", content(
+            (v1::GetSetupResponse = "application/json"), (Vec<u8> = "application/x-npy"),
+            (Vec<u8> = "application/x-npz"), (Vec<u8> = "application/octet-stream"),
+        )),
+        (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub async fn get_setup(
+    State(http): State<Http>,
+    Caller(caller): Caller,
+    Id(setup_id): Id,
+    Query(GetSetup { include_mesh, include_control_points }): Query<GetSetup>,
+    headers: HeaderMap,
+) -> Answer<Response> {
+    let media = Media::accepted(&headers, &ARRAYS)?;
+    let request = v1::GetSetupRequest { setup_id, include_mesh, include_control_points };
+    media::reply(media, http.meshes.get_setup(&caller, request).await?)
+}
+
+/// Gives up a set-up of the caller's own
+///
+/// Sessions that are open on it go on. Whoever else uploaded the same content keeps it.
+#[utoipa::path(
+    delete, path = "/v1/setups/{setup_id}", operation_id = "DeleteSetup", tag = "set-ups",
+    params(("setup_id" = String, Path)),
+    responses(
+        (status = 204, description = "It is not the caller's any more."),
+        (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub async fn delete_setup(
+    State(http): State<Http>,
+    Caller(caller): Caller,
+    Id(setup_id): Id,
+) -> Answer<StatusCode> {
+    http.meshes.delete_setup(&caller, v1::DeleteSetupRequest { setup_id }).await?;
+    Ok(StatusCode::NO_CONTENT)
+}
+
+/// Changes who else may use a set-up of the caller's own
+#[utoipa::path(
+    put, path = "/v1/setups/{setup_id}/access", operation_id = "ShareSetup", tag = "set-ups",
+    params(("setup_id" = String, Path)), request_body = ShareSetup,
+    responses(
+        (status = 200, description = "Who may use it now.", body = v1::ShareSetupResponse),
+        (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub async fn share_setup(
+    State(http): State<Http>,
+    Caller(caller): Caller,
+    Id(setup_id): Id,
+    headers: HeaderMap,
+    body: Body,
+) -> Answer<Response> {
+    let ShareSetup { visibility, shared_with } = http.document(&headers, body).await?;
+    let visibility = v1::Visibility::from(visibility).into();
+    let request = v1::ShareSetupRequest { setup_id, visibility, shared_with };
+    media::document(StatusCode::OK, &http.meshes.share_setup(&caller, request).await?)
+}
+
+/// What the server does and holds
+///
+/// Of the caller's tenant, and of all for administrators.
+#[utoipa::path(
+    get, path = "/v1/status", operation_id = "GetStatus", tag = "server",
+    responses(
+        (status = 200, description = "Load, memory, and what runs.", body = v1::GetStatusResponse),
+        (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub async fn get_status(State(http): State<Http>, Caller(caller): Caller) -> Answer<Response> {
+    media::document(StatusCode::OK, &http.meshes.get_status(&caller, v1::GetStatusRequest {}).await?)
+}

@@ -1,0 +1,193 @@
+//! Why a set-up is refused or a solution fails: what, where, and what to do.
+
+use moldline_mesh::MeshError;
+use thiserror::Error;
+
+/// Why the panel method refuses its input, or stops.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum PanelError {
+    /// The mesh itself is not valid.
+    #[error(transparent)]
+    Mesh(#[from] MeshError),
+    /// An option names a group that the mesh does not have.
+    #[error("options.{field} names `{name}`, which the mesh does not have; it has {known:?}")]
+    UnknownGroup {
+        /// Path of the field.
+        field: String,
+        /// The name given.
+        name: String,
+        /// The names there are.
+        known: Vec<String>,
+    },
+    /// A number is out of its range, NaN or infinite.
+    #[error("{field} = {value} is outside {low}..={high}")]
+    OutOfRange {
+        /// Path of the field.
+        field: String,
+        /// The value given.
+        value: f64,
+        /// Least value allowed.
+        low: f64,
+        /// Largest value allowed.
+        high: f64,
+    },
+    /// A vector of another length than the set-up needs.
+    #[error("{field} has {got} entries, the set-up needs {expected}")]
+    Length {
+        /// Path of the field.
+        field: String,
+        /// Entries given.
+        got: usize,
+        /// Entries needed.
+        expected: usize,
+    },
+    /// The surface has a hole.
+    #[error(
+        "{count} edges have one cell only, the first is {edge:?} of cells[{cell}]; the panel method needs closed bodies \
+         (or halves that end on the plane y = 0)"
+    )]
+    Open {
+        /// How many.
+        count: usize,
+        /// Vertices of the first.
+        edge: [u32; 2],
+        /// Its cell.
+        cell: u32,
+    },
+    /// Three cells or more at an edge.
+    #[error("edge {edge:?} has {} cells: {cells:?}; a surface has two", cells.len())]
+    NonManifold {
+        /// Vertices of the edge.
+        edge: [u32; 2],
+        /// The cells at it.
+        cells: Vec<u32>,
+    },
+    /// Neighbours with opposite orientations.
+    #[error("cells {cells:?} run through edge {edge:?} in the same direction; orient all cells outwards")]
+    Inconsistent {
+        /// Vertices of the edge.
+        edge: [u32; 2],
+        /// The cells.
+        cells: Vec<u32>,
+    },
+    /// A closed piece whose cells point inwards.
+    #[error("the piece of cells[{cell}] encloses a volume of {volume} m^3; orient its cells outwards")]
+    Inwards {
+        /// A cell of the piece.
+        cell: u32,
+        /// The signed volume.
+        volume: f64,
+    },
+    /// A cell without area, or folded onto itself.
+    #[error("cells[{cell}] has an area of {area} m^2, which is nothing beside its edges")]
+    ZeroArea {
+        /// The cell.
+        cell: u32,
+        /// Its area.
+        area: f64,
+    },
+    /// An edge without length.
+    #[error("edge {edge:?} of cells[{cell}] has no length; write the cell as a triangle")]
+    ZeroEdge {
+        /// Its vertices.
+        edge: [u32; 2],
+        /// A cell at it.
+        cell: u32,
+    },
+    /// The mesh is not symmetric about y = 0.
+    #[error("the mesh is not symmetric about y = 0: {0}")]
+    NotSymmetric(String),
+    /// No edge is a trailing edge.
+    #[error("no trailing edge is found {how}; a body without lift needs `TrailingEdges::None`")]
+    NoTrailingEdge {
+        /// By which rule.
+        how: String,
+    },
+    /// A pair of vertices that is not an edge with two cells.
+    #[error("trailing_edges[{index}] = {edge:?} is not an edge between two cells")]
+    NotAnEdge {
+        /// Position in the list.
+        index: usize,
+        /// The vertices given.
+        edge: [u32; 2],
+    },
+    /// More than two trailing edges meet.
+    #[error("{} trailing edges meet at vertex {vertex}: {edges:?}; a wake leaves a line", edges.len())]
+    BranchedTrailingEdge {
+        /// The vertex.
+        vertex: u32,
+        /// The edges at it.
+        edges: Vec<[u32; 2]>,
+    },
+    /// The surface is smooth at a trailing edge.
+    #[error("trailing edge {edge:?} turns by {angle} degrees only, less than {least}; no wake leaves a smooth surface")]
+    BluntTrailingEdge {
+        /// Its vertices.
+        edge: [u32; 2],
+        /// Angle between the normals of its cells.
+        angle: f64,
+        /// Least angle allowed.
+        least: f64,
+    },
+    /// A wake that passes through a cell.
+    #[error(
+        "the wake of trailing edge {edge:?} cuts cells[{cell}] at x = {x} m; move the surfaces apart (wakes run straight along x)"
+    )]
+    WakeCutsBody {
+        /// Vertices of the trailing edge.
+        edge: [u32; 2],
+        /// The cell.
+        cell: u32,
+        /// Where.
+        x: f64,
+    },
+    /// A wake root whose body has no way to its aft end.
+    #[error("the wake that leaves the body at vertex {vertex} finds no path of edges to the body's aft end")]
+    NoCarryOver {
+        /// The vertex where the trailing edge meets the body.
+        vertex: u32,
+    },
+    /// The neighbours of a cell do not span a plane.
+    #[error("cells[{cell}] has too few neighbours beside trailing edges for a surface gradient; refine there")]
+    Gradient {
+        /// The cell.
+        cell: u32,
+    },
+    /// More memory than allowed.
+    #[error("{unknowns} unknowns need {needed} bytes, the limit is {limit}; {advice}")]
+    Memory {
+        /// Number of unknowns.
+        unknowns: usize,
+        /// Bytes needed.
+        needed: u64,
+        /// Bytes allowed.
+        limit: u64,
+        /// The way out.
+        advice: &'static str,
+    },
+    /// The flow at sideslip over a half model.
+    #[error("sideslip = {sideslip} rad needs both halves; this set-up solves one half with a symmetry plane")]
+    Sideslip {
+        /// The angle given.
+        sideslip: f64,
+    },
+    /// The influence of a panel is not a number: a collocation point lies on an edge.
+    #[error("the influence on cells[{cell}] is not finite; its centre lies on an edge of another cell, or cells overlap")]
+    Singular {
+        /// The cell.
+        cell: u32,
+    },
+    /// Refinement or iterations did not reach the tolerance.
+    #[error("the residual is {residual:e} after {rounds} rounds, above the tolerance {tolerance:e}; cells may overlap")]
+    NotConverged {
+        /// Relative residual.
+        residual: f64,
+        /// Rounds made.
+        rounds: usize,
+        /// Tolerance asked for.
+        tolerance: f64,
+    },
+    /// The caller asked to stop.
+    #[error("cancelled")]
+    Cancelled,
+}

@@ -1,0 +1,42 @@
+//! A source-doublet panel method for closed bodies and wings in subsonic flow, with exact derivatives.
+//!
+//! [`PanelSetup::new`] finds once all that does not change with the positions of the vertices: the half that is solved,
+//! trailing edges, wakes and stencils. [`PanelSetup::solve`] computes the flow for unit winds along the axes; [`Solution::analyse`] combines
+//! them at any angle of attack, and [`Solution::linearise`] gives products with the derivative.
+//!
+//! Unknown is the perturbation potential on the outside, one number a cell, from the condition that it vanishes inside (Morino and Kuo,
+//! AIAA J. 12, 1974). In the order of the data: [`surface`] (Goethert's rule, geometry of the panels), [`gradient`],
+//! [`kutta`], [`influence`], [`system`], [`pressure`], [`trefftz`], [`wind`].
+//!
+//! Axes: x aft, y starboard, z up. Parallel loops run on rayon's current pool. Results are the same to the last bit whatever its
+//! size.
+//!
+//! Absent on purpose: files, serialisation, clocks; viscosity, free wakes, supersonic flow.
+
+mod error;
+mod gradient;
+mod influence;
+mod kutta;
+mod lanes;
+mod linearisation;
+mod lu;
+mod matrix;
+mod monitor;
+mod options;
+mod pressure;
+mod setup;
+mod solution;
+mod surface;
+mod system;
+mod topology;
+mod trefftz;
+mod wake;
+mod wind;
+
+pub use error::PanelError;
+pub use linearisation::{Inputs, Linearisation, Outputs};
+pub use monitor::{Monitor, Silent, Stage};
+pub use options::{Flow, Options, Reference, Solver, Symmetry, TrailingEdges};
+pub use setup::{PanelSetup, SetupSummary, memory_estimate};
+pub use solution::{Analysis, Loads, MAX_MACH, Section, Solution};
+pub use wind::Scalars;

@@ -1,0 +1,98 @@
+//! What a user chooses once for a mesh.
+
+/// Choices of a set-up.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Options {
+    /// Whether one half is solved for both.
+    pub symmetry: Symmetry,
+    /// Where wakes leave the surface.
+    pub trailing_edges: TrailingEdges,
+    /// Cell groups whose forces are reported one by one; `None`: all cell groups of the mesh.
+    pub components: Option<Vec<String>>,
+    /// How the linear system is solved.
+    pub solver: Solver,
+    /// Residual of the solution, relative to the right-hand side.
+    pub tolerance: f64,
+    /// Bytes that a solution may take.
+    pub memory_limit: u64,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            symmetry: Symmetry::Automatic,
+            trailing_edges: TrailingEdges::Angle { degrees: 120.0 },
+            components: None,
+            solver: Solver::Automatic,
+            tolerance: 1e-12,
+            memory_limit: 4 << 30,
+        }
+    }
+}
+
+/// The plane y = 0.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Symmetry {
+    /// [`Half`](Self::Half) if the mesh is open on y = 0 only, [`Mirror`](Self::Mirror) if it is its own mirror image, else
+    /// [`None`](Self::None).
+    Automatic,
+    /// Every cell is solved; the flow may have sideslip.
+    None,
+    /// The mesh is one half, open on y = 0.
+    Half,
+    /// The mesh has both halves; one is solved, at the mean of both.
+    Mirror,
+}
+
+/// How trailing edges are found.
+#[derive(Clone, Debug, PartialEq)]
+pub enum TrailingEdges {
+    /// None: bodies without lift.
+    None,
+    /// Pairs of vertices.
+    Edges(Vec<[u32; 2]>),
+    /// Edges with both vertices in one of these vertex groups, between cells whose normals differ by 60 degrees or more.
+    Groups(Vec<String>),
+    /// Edges across which the outward normal turns by at least so much, and that point downstream.
+    Angle {
+        /// Degrees, between 60 and 180.
+        degrees: f64,
+    },
+}
+
+/// How the linear system is solved.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Solver {
+    /// [`Double`](Self::Double) up to 3,000 unknowns, [`Single`](Self::Single) up to 12,000, else [`Iterative`](Self::Iterative).
+    Automatic,
+    /// LU in double precision.
+    Double,
+    /// LU in single precision, refined in double precision.
+    Single,
+    /// GMRES, preconditioned with the exact factors of blocks of near panels.
+    Iterative,
+}
+
+/// Wind, and what coefficients refer to.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Flow {
+    /// Angle of attack, rad.
+    pub alpha: f64,
+    /// Sideslip, rad: positive if the wind comes from starboard (+y).
+    pub sideslip: f64,
+    /// What coefficients refer to.
+    pub reference: Reference,
+}
+
+/// What coefficients refer to. Of the whole aircraft, also for a half model.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Reference {
+    /// Area, m^2.
+    pub area: f64,
+    /// Chord of the pitching moment, m.
+    pub chord: f64,
+    /// Span of rolling and yawing moment, m.
+    pub span: f64,
+    /// Point about which moments are taken, m.
+    pub point: [f64; 3],
+}

@@ -1,0 +1,333 @@
+//! The flow over one geometry, and what it says at an angle of attack.
+
+use std::sync::Arc;
+
+use moldline_mesh::Vector3;
+
+use crate::{
+    Flow, Monitor, PanelError, PanelSetup, Scalars,
+    gradient::Gradients,
+    influence::Influence,
+    kutta::Kutta,
+    pressure::Pressure,
+    setup::check,
+    surface::Surface,
+    system::System,
+    wind::{self, Totals, Wind},
+};
+
+/// Largest Mach number: the rule is one of small perturbations of a subsonic flow.
+pub const MAX_MACH: f64 = 0.9;
+
+/// Flow over the surface for unit winds along `B` axes.
+#[derive(Debug)]
+pub(crate) struct State<const B: usize> {
+    pub surface: Surface,
+    /// Circulations as sums over panels.
+    pub rows: Vec<Vec<(u32, f64)>>,
+    pub system: System,
+    /// Doublet strengths: perturbation potentials on the outside.
+    pub mu: [Vec<f64>; B],
+    pub circulations: [Vec<f64>; B],
+    pub pressure: Pressure<B>,
+    pub totals: Totals<B>,
+    pub residual: f64,
+    pub rounds: usize,
+}
+
+#[derive(Debug)]
+pub(crate) enum AnyState {
+    Symmetric(State<2>),
+    Full(State<3>),
+}
+
+/// The flow over one geometry at one Mach number, for every angle of attack.
+#[derive(Debug)]
+pub struct Solution {
+    pub(crate) setup: Arc<PanelSetup>,
+    pub(crate) mach: f64,
+    pub(crate) vertices: Vec<[f64; 3]>,
+    pub(crate) state: AnyState,
+}
+
+/// The load of a strip of the wake: of the section of the wing before it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Section {
+    /// The trailing edge, as mesh vertices.
+    pub edge: [u32; 2],
+    /// Its middle, m.
+    pub middle: [f64; 3],
+    /// From the first to the second vertex in y and z, m.
+    pub span: [f64; 2],
+    /// Section lift coefficient times chord, m: twice the circulation over the wind speed.
+    pub load: f64,
+}
+
+/// Forces and moments of a part of the surface.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Loads {
+    /// Name of the component.
+    pub name: String,
+    /// Force along the mesh's axes, by dynamic pressure and reference area.
+    pub force: [f64; 3],
+    /// Moment about the axes x, y, z through the reference point, by span, chord and span; y is nose up.
+    pub moment: [f64; 3],
+    /// Lift coefficient.
+    pub lift: f64,
+    /// Pressure drag coefficient.
+    pub drag: f64,
+}
+
+/// What the flow does at one angle of attack.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Analysis {
+    /// Coefficients of the whole, with slopes.
+    pub scalars: Scalars,
+    /// Lift from the pressure over lift from the circulation, less one: a measure of the discretisation. Zero without lift.
+    pub disagreement: f64,
+    /// Forces of the whole.
+    pub total: Loads,
+    /// Forces of the components.
+    pub components: Vec<Loads>,
+    /// Loads along the trailing edges of the solved half.
+    pub sections: Vec<Section>,
+    /// Pressure coefficient of every cell.
+    pub cp: Vec<f64>,
+    /// Pressure coefficient at every vertex: the mean of its cells.
+    pub vertex_cp: Vec<f64>,
+    /// Cells beyond the critical pressure coefficient, where the flow would be supersonic.
+    pub supercritical_cells: usize,
+    /// Residual of the linear system relative to its right-hand side.
+    pub residual: f64,
+    /// Rounds of refinement, or iterations.
+    pub rounds: usize,
+}
+
+impl Solution {
+    pub(crate) fn new(
+        setup: Arc<PanelSetup>,
+        vertices: &[[f64; 3]],
+        mach: f64,
+        monitor: &dyn Monitor,
+    ) -> Result<Self, PanelError> {
+        check("mach", mach, 0.0, MAX_MACH)?;
+        let expected = setup.panels.vertices;
+        if vertices.len() != expected {
+            return Err(PanelError::Length { field: "vertices".to_owned(), got: vertices.len(), expected });
+        }
+        for (v, position) in vertices.iter().enumerate() {
+            for (axis, &value) in position.iter().enumerate() {
+                check(&format!("vertices[{v}][{axis}]"), value, -1e12, 1e12)?;
+            }
+        }
+        setup.panels.check_symmetry(vertices)?;
+        let points = setup.panels.gather(vertices);
+        setup.wakes.check(&setup.panels, &points)?;
+        let state = if setup.panels.symmetric {
+            AnyState::Symmetric(State::new(&setup, &points, mach, monitor)?)
+        } else {
+            AnyState::Full(State::new(&setup, &points, mach, monitor)?)
+        };
+        Ok(Self { setup, mach, vertices: vertices.to_vec(), state })
+    }
+
+    /// The set-up it was made with.
+    pub fn setup(&self) -> &Arc<PanelSetup> {
+        &self.setup
+    }
+
+    /// The Mach number.
+    pub fn mach(&self) -> f64 {
+        self.mach
+    }
+
+    /// The vertices.
+    pub fn vertices(&self) -> &[[f64; 3]] {
+        &self.vertices
+    }
+
+    /// Bytes held, for budgets.
+    pub fn bytes(&self) -> u64 {
+        self.setup.options.solver.bytes(self.setup.panels.len())
+            + 8 * 100 * self.setup.panels.len() as u64
+            + 24 * self.vertices.len() as u64
+    }
+
+    /// Coefficients, pressures and loads at an angle of attack.
+    ///
+    /// # Errors
+    /// [`PanelError::OutOfRange`] for a flow that is not finite or reference values that are not positive,
+    /// [`PanelError::Sideslip`] over a half.
+    pub fn analyse(&self, flow: &Flow) -> Result<Analysis, PanelError> {
+        self.check_flow(flow)?;
+        Ok(match &self.state {
+            AnyState::Symmetric(state) => self.analysis(state, flow),
+            AnyState::Full(state) => self.analysis(state, flow),
+        })
+    }
+
+    pub(crate) fn check_flow(&self, flow: &Flow) -> Result<(), PanelError> {
+        check("flow.alpha", flow.alpha, -1.0, 1.0)?;
+        check("flow.sideslip", flow.sideslip, -1.0, 1.0)?;
+        let positive = f64::MIN_POSITIVE;
+        check("flow.reference.area", flow.reference.area, positive, 1e24)?;
+        check("flow.reference.chord", flow.reference.chord, positive, 1e12)?;
+        check("flow.reference.span", flow.reference.span, positive, 1e12)?;
+        for (axis, value) in flow.reference.point.into_iter().enumerate() {
+            check(&format!("flow.reference.point[{axis}]"), value, -1e12, 1e12)?;
+        }
+        if self.setup.panels.symmetric && flow.sideslip != 0.0 {
+            return Err(PanelError::Sideslip { sideslip: flow.sideslip });
+        }
+        Ok(())
+    }
+
+    fn analysis<const B: usize>(&self, state: &State<B>, flow: &Flow) -> Analysis {
+        let setup = &*self.setup;
+        let panels = &setup.panels;
+        let wind = Wind::<B>::new(flow);
+        let scalars = wind::eval(&state.totals, flow);
+        let panel_cp: Vec<f64> = state
+            .pressure
+            .forms
+            .iter()
+            .map(|form| {
+                let mut cp = 0.0;
+                for k in 0..B {
+                    for l in 0..B {
+                        cp += wind.w[k] * wind.w[l] * form[k][l];
+                    }
+                }
+                cp
+            })
+            .collect();
+        let everything: Vec<u32> = (0..panels.len() as u32).collect();
+        let images: &[u32] = if panels.symmetric { &everything } else { &[] };
+        let total = loads("total", state, &panel_cp, &everything, images, flow, &wind);
+        let component = |c: &crate::setup::Component| {
+            loads(&c.name, state, &panel_cp, &c.own, &c.mirrored, flow, &wind)
+        };
+        let sections = setup
+            .wakes
+            .strips
+            .iter()
+            .enumerate()
+            .map(|(index, strip)| {
+                let [a, b] = [strip.a, strip.b].map(|p| state.surface.points[p as usize]);
+                let (middle, way) = (0.5 * (a + b), b - a);
+                Section {
+                    edge: [strip.a, strip.b].map(|p| panels.vertex_of[p as usize]),
+                    middle: [state.surface.beta * middle.x, middle.y, middle.z],
+                    span: [way.y, way.z],
+                    load: 2.0 * (0..B).map(|k| wind.w[k] * state.circulations[k][index]).sum::<f64>(),
+                }
+            })
+            .collect();
+        let cp: Vec<f64> = panels.panel_of.iter().map(|(panel, _)| panel_cp[*panel as usize]).collect();
+        let vertex_cp = setup
+            .vertex_cells
+            .rows()
+            .map(|cells| cells.iter().map(|c| cp[*c as usize]).sum::<f64>() / cells.len().max(1) as f64)
+            .collect();
+        let critical = critical_pressure(self.mach);
+        Analysis {
+            disagreement: if scalars.lift.abs() > 1e-9 {
+                scalars.pressure_lift / scalars.lift - 1.0
+            } else {
+                0.0
+            },
+            scalars,
+            total,
+            components: setup.components.iter().map(component).collect(),
+            sections,
+            supercritical_cells: cp.iter().filter(|cp| **cp < critical).count(),
+            cp,
+            vertex_cp,
+            residual: state.residual,
+            rounds: state.rounds,
+        }
+    }
+}
+
+/// Pressure coefficient at which the local flow is sonic (isentropic, ratio of heats 1.4); none at Mach zero.
+fn critical_pressure(mach: f64) -> f64 {
+    if mach <= 0.0 {
+        return f64::NEG_INFINITY;
+    }
+    let squared = mach * mach;
+    let ratio = (1.0 + 0.2 * squared) / 1.2;
+    (ratio.powf(3.5) - 1.0) / (0.7 * squared)
+}
+
+fn loads<const B: usize>(
+    name: &str,
+    state: &State<B>,
+    cp: &[f64],
+    own: &[u32],
+    mirrored: &[u32],
+    flow: &Flow,
+    wind: &Wind<B>,
+) -> Loads {
+    let surface = &state.surface;
+    let reference = &flow.reference;
+    let (mut force, mut moment) = (Vector3::zeros(), Vector3::zeros());
+    for (list, side) in [(own, 1.0), (mirrored, -1.0)] {
+        for &panel in list {
+            let panel = panel as usize;
+            let (a, c) = (&surface.areas[panel], &surface.centres[panel]);
+            let area = Vector3::new(a.x, side * surface.beta * a.y, surface.beta * a.z);
+            let centre = Vector3::new(surface.beta * c.x, side * c.y, c.z);
+            let f = -cp[panel] * area;
+            force += f;
+            moment += (centre - Vector3::from(reference.point)).cross(&f);
+        }
+    }
+    let force = force / reference.area;
+    let moment = moment / reference.area;
+    Loads {
+        name: name.to_owned(),
+        force: force.into(),
+        moment: [
+            moment.x / reference.span,
+            moment.y / reference.chord,
+            moment.z / reference.span,
+        ],
+        lift: force.dot(&wind.lift),
+        drag: force.dot(&wind.drag),
+    }
+}
+
+impl<const B: usize> State<B> {
+    fn new(
+        setup: &PanelSetup,
+        points: &[Vector3],
+        mach: f64,
+        monitor: &dyn Monitor,
+    ) -> Result<Self, PanelError> {
+        let panels = &setup.panels;
+        let surface = Surface::new(panels, points, mach)?;
+        let gradients = Gradients::new(panels, &surface, &setup.stencils)?;
+        let rows = Kutta { panels, surface: &surface, wakes: &setup.wakes, gradients: &gradients }.rows();
+        let influence = Influence::<B>::new(panels, &setup.wakes, &surface);
+        let (matrix, right) = influence.assemble(&rows, monitor)?;
+        let system = System::new(matrix, setup.options.solver, &surface.centres, monitor)?;
+        let solved = system.solve(&right, false, setup.options.tolerance, monitor)?;
+        let mu: [Vec<f64>; B] = {
+            let mut columns = solved.columns.into_iter();
+            std::array::from_fn(|_| columns.next().unwrap_or_default())
+        };
+        let circulations: [Vec<f64>; B] = std::array::from_fn(|k| {
+            rows.iter().map(|row| row.iter().map(|(p, f)| f * mu[k][*p as usize]).sum()).collect()
+        });
+        let slopes = std::array::from_fn(|k| {
+            (0..panels.len()).map(|panel| gradients.eval(panel, &mu[k], &circulations[k])).collect()
+        });
+        let pressure = Pressure::new(panels, &surface, slopes);
+        let mut totals = Totals::zeros();
+        pressure.totals(panels, &surface, &mut totals);
+        totals.lift = std::array::from_fn(|k| setup.trace.lift(&surface.points, &circulations[k]));
+        totals.drag = setup.trace.drag(&surface.points, &circulations);
+        let (residual, rounds) = (solved.residual, solved.rounds);
+        Ok(Self { surface, rows, system, mu, circulations, pressure, totals, residual, rounds })
+    }
+}

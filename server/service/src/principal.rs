@@ -1,0 +1,115 @@
+//! Who calls: a tenant and what it may do. Transports make it from a credential, never from a field of a request.
+
+use std::fmt;
+
+use crate::error::{Code, ServiceError};
+
+/// Whoever owns set-ups and sessions together: 1 to 64 characters of `a`-`z`, `0`-`9`, `_` and `-`.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct Tenant(String);
+
+/// A name that is no tenant's.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("a tenant's name has 1 to 64 characters of a-z, 0-9, `_` and `-`; this is `{}`", crate::error::shorten(.0))]
+pub struct TenantError(String);
+
+impl Tenant {
+    /// The tenant of that name.
+    ///
+    /// # Errors
+    /// If no tenant can have that name.
+    pub fn new(name: &str) -> Result<Self, TenantError> {
+        const LONGEST: usize = 64;
+        let fits =
+            |byte: u8| byte.is_ascii_lowercase() || byte.is_ascii_digit() || matches!(byte, b'_' | b'-');
+        if (1..=LONGEST).contains(&name.len()) && name.bytes().all(fits) {
+            Ok(Self(name.to_owned()))
+        } else {
+            Err(TenantError(name.to_owned()))
+        }
+    }
+
+    /// Its name.
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
+}
+
+impl fmt::Display for Tenant {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+/// What a caller may do. Each may what those before it may.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Role {
+    /// See the set-ups, sessions and status of its tenant.
+    Reader,
+    /// Everything with the set-ups and sessions of its tenant.
+    User,
+    /// Also see the status of all tenants.
+    Admin,
+}
+
+impl Role {
+    /// Its name in lower case.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Reader => "reader",
+            Self::User => "user",
+            Self::Admin => "admin",
+        }
+    }
+}
+
+/// Who calls.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub struct Principal {
+    /// Whose set-ups and sessions these are.
+    pub tenant: Tenant,
+    /// What it may do.
+    pub role: Role,
+}
+
+impl Principal {
+    /// Everybody, where nobody is asked who they are: an administrator of the tenant `local`.
+    pub fn local() -> Self {
+        Self { tenant: Tenant("local".to_owned()), role: Role::Admin }
+    }
+
+    /// # Errors
+    /// `PermissionDenied` if the caller may less than `role`.
+    pub(crate) fn need(&self, role: Role) -> Result<(), ServiceError> {
+        if self.role >= role {
+            return Ok(());
+        }
+        Err(ServiceError::new(
+            Code::PermissionDenied,
+            format!("this needs the role `{}`, and the credential's is `{}`", role.name(), self.role.name()),
+        ))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_of_tenants_are_short_and_plain() {
+        let longest = "a".repeat(64);
+        for name in ["a", "team-1", "x_9", longest.as_str()] {
+            assert_eq!(Tenant::new(name).unwrap().as_str(), name);
+        }
+        for name in ["", "Team", "a/b", "..", "a b", "ä", "@public", &"a".repeat(65)] {
+            assert!(Tenant::new(name).is_err(), "{name}");
+        }
+    }
+
+    #[test]
+    fn a_role_may_what_those_before_it_may() {
+        let of = |role| Principal { role, ..Principal::local() };
+        assert!(of(Role::Admin).need(Role::User).is_ok() && of(Role::User).need(Role::User).is_ok());
+        assert_eq!(of(Role::Reader).need(Role::User).unwrap_err().code, Code::PermissionDenied);
+    }
+}

@@ -1,0 +1,494 @@
+//! What travels in bodies over HTTP: JSON for people, .npy, .npz and plain little-endian bytes for programs.
+//!
+//! | type | request | answer |
+//! |---|---|---|
+//! | `application/json` | a document | a document, arrays as nested lists |
+//! | `application/x-npy` | the main array; the rest in the query | the main array; the rest in headers |
+//! | `application/octet-stream` | the same without its header; `shape` in the query | the same; `Moldline-Shape` |
+//! | `application/x-npz` | all arrays by name; the rest in the query | all arrays by name, and `info.json` |
+
+use std::{fmt, time::Duration};
+
+use axum::{
+    body::{Body, Bytes},
+    http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header},
+    response::Response,
+};
+use http_body::Body as _;
+use moldline_proto::v1::{Array, DataType};
+use moldline_service::{Code, ServiceError};
+use serde::{Deserialize, Serialize, de};
+use tokio::time::timeout;
+
+use crate::{
+    npy,
+    refusal::{Answer, Refusal},
+};
+
+/// A type of body.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Media {
+    /// `application/json`
+    Json,
+    /// `application/x-npy`
+    Npy,
+    /// `application/x-npz`
+    Npz,
+    /// `application/octet-stream`
+    Octets,
+    /// `text/event-stream`
+    Events,
+}
+
+/// What every answer with arrays can be.
+pub const ARRAYS: [Media; 4] = [Media::Json, Media::Npy, Media::Npz, Media::Octets];
+
+/// Extents of the array in an `application/octet-stream` answer, separated by commas.
+pub const SHAPE: HeaderName = HeaderName::from_static("moldline-shape");
+
+impl Media {
+    /// Its name in headers.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Json => "application/json",
+            Self::Npy => "application/x-npy",
+            Self::Npz => "application/x-npz",
+            Self::Octets => "application/octet-stream",
+            Self::Events => "text/event-stream",
+        }
+    }
+
+    /// The one of that name.
+    fn named(name: &str) -> Option<Self> {
+        let all = [Self::Json, Self::Npy, Self::Npz, Self::Octets, Self::Events];
+        all.into_iter().find(|media| media.name().eq_ignore_ascii_case(name)).or(match name {
+            "application/zip" => Some(Self::Npz),
+            "application/npy" => Some(Self::Npy),
+            _ => None,
+        })
+    }
+
+    /// What the client likes best among `offered`; the first of them if it does not care.
+    ///
+    /// # Errors
+    /// 406 if it likes none.
+    pub fn accepted(headers: &HeaderMap, offered: &[Self]) -> Answer<Self> {
+        let mut best: Option<(f32, Self)> = None;
+        let mut asked = false;
+        let values = headers.get_all(header::ACCEPT).iter().filter_map(|value| value.to_str().ok());
+        for range in values.flat_map(|value| value.split(',')).map(str::trim).filter(|range| !range.is_empty()) {
+            asked = true;
+            let mut parts = range.split(';').map(str::trim);
+            let name = parts.next().unwrap_or_default();
+            let quality = parts.find_map(|part| part.strip_prefix("q=")).map_or(1.0, |q| q.parse().unwrap_or(0.0));
+            let media = match name.split_once('/') {
+                Some(("*", "*")) => offered.first().copied(),
+                Some((kind, "*")) => {
+                    offered.iter().copied().find(|media| media.name().split('/').next() == Some(kind))
+                }
+                _ => Self::named(name).filter(|media| offered.contains(media)),
+            };
+            if let Some(media) = media
+                && quality > best.map_or(0.0, |(quality, _)| quality)
+            {
+                best = Some((quality, media));
+            }
+        }
+        match (best, asked, offered.first()) {
+            (Some((_, media)), ..) => Ok(media),
+            (None, false, Some(&first)) => Ok(first),
+            _ => {
+                let names: Vec<&str> = offered.iter().map(|media| media.name()).collect();
+                let error = ServiceError::invalid("accept", format!("this answers {}", names.join(", ")));
+                Err(Refusal::with(StatusCode::NOT_ACCEPTABLE, error))
+            }
+        }
+    }
+
+    /// What the request's body is; JSON if there is none.
+    ///
+    /// # Errors
+    /// 415 for a type other than those of arrays.
+    pub fn sent(headers: &HeaderMap) -> Answer<Self> {
+        let Some(value) = headers.get(header::CONTENT_TYPE) else {
+            let empty = headers.get(header::CONTENT_LENGTH).is_none_or(|length| length == "0")
+                && !headers.contains_key(header::TRANSFER_ENCODING);
+            return if empty { Ok(Self::Json) } else { Err(unsupported("it is missing")) };
+        };
+        let name = value.to_str().unwrap_or_default().split(';').next().unwrap_or_default().trim();
+        Self::named(name)
+            .filter(|media| ARRAYS.contains(media))
+            .ok_or_else(|| unsupported(&format!("this takes {}", ARRAYS.map(Self::name).join(", "))))
+    }
+}
+
+/// 415.
+pub fn unsupported(why: &str) -> Refusal {
+    Refusal::with(StatusCode::UNSUPPORTED_MEDIA_TYPE, ServiceError::invalid("content-type", why))
+}
+
+/// No byte of a body for so long, and it is given up.
+const STALLED: Duration = Duration::from_secs(30);
+
+/// The announced length of a body.
+///
+/// # Errors
+/// 413 beyond `limit`.
+pub fn length(headers: &HeaderMap, limit: u64) -> Answer<Option<u64>> {
+    let announced = headers.get(header::CONTENT_LENGTH).and_then(|value| value.to_str().ok()?.parse().ok());
+    match announced {
+        Some(length) if length > limit => Err(too_large(limit)),
+        length => Ok(length),
+    }
+}
+
+fn too_large(limit: u64) -> Refusal {
+    let error = ServiceError::invalid("body", format!("is longer than the limit of {limit} bytes"));
+    Refusal::with(StatusCode::PAYLOAD_TOO_LARGE, error)
+}
+
+/// The next bytes of a body; `None` at its end.
+///
+/// # Errors
+/// If the client goes away or falls silent.
+pub async fn next(body: &mut Body) -> Answer<Option<Bytes>> {
+    loop {
+        let frame = std::future::poll_fn(|context| std::pin::Pin::new(&mut *body).poll_frame(context));
+        match timeout(STALLED, frame).await {
+            Ok(None) => return Ok(None),
+            Ok(Some(Ok(frame))) => {
+                if let Ok(data) = frame.into_data() {
+                    return Ok(Some(data));
+                }
+            }
+            Ok(Some(Err(error))) => {
+                return Err(ServiceError::new(Code::Cancelled, format!("the body was cut off: {error}")).into());
+            }
+            Err(_) => {
+                let message = format!("no byte of the body came for {} s", STALLED.as_secs());
+                let error = ServiceError::new(Code::DeadlineExceeded, message);
+                return Err(Refusal::with(StatusCode::REQUEST_TIMEOUT, error));
+            }
+        }
+    }
+}
+
+/// The whole body, of `limit` bytes at most. Memory grows with what has come, not with what is announced.
+///
+/// # Errors
+/// 413 beyond the limit.
+pub async fn read(headers: &HeaderMap, mut body: Body, limit: usize) -> Answer<Bytes> {
+    length(headers, limit as u64)?;
+    let Some(first) = next(&mut body).await? else { return Ok(Bytes::new()) };
+    if body.is_end_stream() && first.len() <= limit {
+        return Ok(first);
+    }
+    let mut whole = first.to_vec();
+    while let Some(data) = next(&mut body).await? {
+        whole.extend_from_slice(&data);
+        if whole.len() > limit {
+            break;
+        }
+    }
+    if whole.len() > limit { Err(too_large(limit as u64)) } else { Ok(whole.into()) }
+}
+
+/// Reads a JSON document; the path of what does not fit is named. An empty body is an empty document.
+///
+/// # Errors
+/// `InvalidArgument`.
+pub fn json<T: de::DeserializeOwned>(body: &Bytes) -> Answer<T> {
+    let text: &[u8] = if body.is_empty() { b"{}" } else { body };
+    let mut reader = serde_json::Deserializer::from_slice(text);
+    let document = serde_path_to_error::deserialize(&mut reader).map_err(|error| {
+        let path = error.path().to_string();
+        let field = if path == "." { "body".to_owned() } else { path };
+        ServiceError::invalid(field, error.into_inner().to_string())
+    })?;
+    reader.end().map_err(|error| ServiceError::invalid("body", error.to_string()))?;
+    Ok(document)
+}
+
+/// The arrays of a binary body, by name: all of a .npz file, or the one called `main`. `shape` is that of plain bytes, by
+/// default all in one dimension.
+///
+/// # Errors
+/// `InvalidArgument` naming the array.
+pub fn arrays(
+    media: Media,
+    body: Bytes,
+    main: &str,
+    shape: Option<&str>,
+    limit: usize,
+) -> Answer<Vec<(String, Array)>> {
+    if media == Media::Npz {
+        return Ok(npy::read_npz(body, limit)?);
+    }
+    if media == Media::Npy {
+        return Ok(vec![(main.to_owned(), npy::read(main, &body)?)]);
+    }
+    let shape = match shape {
+        None => vec![(body.len() / size_of::<f64>()) as u64],
+        Some(text) => {
+            let extents = text.split(',').map(|extent| extent.trim().parse());
+            extents.collect::<Result<_, _>>().map_err(|_| {
+                ServiceError::invalid("shape", "is not a list of extents separated by commas, such as `2,45`")
+            })?
+        }
+    };
+    Ok(vec![(main.to_owned(), Array { dtype: DataType::Float64.into(), shape, data: body })])
+}
+
+/// An answer with arrays.
+pub trait Reply: Serialize {
+    /// Takes the arrays out of it, each with its name; the main one is the first.
+    fn take_arrays(&mut self) -> Vec<(String, Array)>;
+
+    /// What belongs into headers where only the main array travels.
+    fn headers(&self) -> Vec<(&'static str, String)>;
+}
+
+/// `reply` as a document, as its main array, or as all of them.
+///
+/// # Errors
+/// If there is no array to send.
+pub fn reply<R: Reply>(media: Media, mut reply: R) -> Answer<Response> {
+    if media == Media::Json {
+        return document(StatusCode::OK, &reply);
+    }
+    let headers = reply.headers();
+    let mut arrays = reply.take_arrays();
+    if arrays.is_empty() {
+        return Err(ServiceError::invalid("accept", "there is no array to answer with; ask for application/json").into());
+    }
+    let mut response = match media {
+        Media::Npz => Response::new(Body::from(npy::write_npz(&arrays, &text(&reply)?)?)),
+        _ => {
+            let (_, main) = arrays.swap_remove(0);
+            binary(media, main.dtype(), &main.shape, [main.data])
+        }
+    };
+    let fields = response.headers_mut();
+    fields.insert(header::CONTENT_TYPE, HeaderValue::from_static(media.name()));
+    for (name, value) in headers {
+        if let Ok(value) = HeaderValue::from_str(&value) {
+            fields.insert(HeaderName::from_static(name), value);
+        }
+    }
+    Ok(response)
+}
+
+/// One array as .npy or plain bytes, in parts that are not copied.
+pub fn binary(
+    media: Media,
+    dtype: DataType,
+    shape: &[u64],
+    parts: impl IntoIterator<Item = Bytes, IntoIter: Send + 'static>,
+) -> Response {
+    let head = (media == Media::Npy).then(|| Bytes::from(npy::header(dtype, shape)));
+    let element = match dtype {
+        DataType::Uint8 => 1,
+        DataType::Uint32 => 4,
+        DataType::Float64 | DataType::Unspecified => 8,
+    };
+    let length = element * shape.iter().product::<u64>() + head.as_ref().map_or(0, |head| head.len() as u64);
+    let parts = head.into_iter().chain(parts).map(Ok::<_, std::convert::Infallible>);
+    let mut response = Response::new(Body::from_stream(tokio_stream::iter(parts)));
+    set_array_headers(response.headers_mut(), media, shape, length);
+    response
+}
+
+/// Type, length and shape of a binary answer.
+pub fn set_array_headers(headers: &mut HeaderMap, media: Media, shape: &[u64], length: u64) {
+    headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(media.name()));
+    headers.insert(header::CONTENT_LENGTH, length.into());
+    let shape: Vec<String> = shape.iter().map(u64::to_string).collect();
+    if let Ok(shape) = HeaderValue::from_str(&shape.join(",")) {
+        headers.insert(SHAPE, shape);
+    }
+}
+
+/// A JSON document.
+///
+/// # Errors
+/// If it cannot be written.
+pub fn document(status: StatusCode, document: &impl Serialize) -> Answer<Response> {
+    let mut response = Response::new(Body::from(text(document)?));
+    *response.status_mut() = status;
+    let json = HeaderValue::from_static(Media::Json.name());
+    response.headers_mut().insert(header::CONTENT_TYPE, json);
+    Ok(response)
+}
+
+fn text(document: &impl Serialize) -> Answer<String> {
+    serde_json::to_string(document).map_err(|error| {
+        ServiceError::new(Code::Internal, format!("cannot write the document: {error}")).into()
+    })
+}
+
+/// An array in a document: nested lists of numbers.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Numbers(pub Array);
+
+/// Deepest nesting of lists.
+const DEPTH: usize = 8;
+
+impl<'de> Deserialize<'de> for Numbers {
+    fn deserialize<D: de::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let (mut data, mut shape) = (Vec::new(), Vec::new());
+        de::DeserializeSeed::deserialize(Level { depth: 0, data: &mut data, shape: &mut shape }, deserializer)?;
+        Ok(Self(Array { dtype: DataType::Float64.into(), shape, data: data.into() }))
+    }
+}
+
+/// What is read at one depth: a number or a list. The first list at a depth sets its extent.
+struct Level<'a> {
+    depth: usize,
+    data: &'a mut Vec<u8>,
+    shape: &'a mut Vec<u64>,
+}
+
+impl Level<'_> {
+    fn number<E: de::Error>(self, value: f64) -> Result<(), E> {
+        if self.depth == 0 {
+            return Err(E::custom("a number, expected a list of numbers"));
+        }
+        if self.depth == self.shape.len() {
+            self.data.extend_from_slice(&value.to_le_bytes());
+            return Ok(());
+        }
+        Err(E::custom("a number, expected a list as before it"))
+    }
+}
+
+impl<'de> de::DeserializeSeed<'de> for Level<'_> {
+    type Value = ();
+
+    fn deserialize<D: de::Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
+        deserializer.deserialize_any(self)
+    }
+}
+
+impl<'de> de::Visitor<'de> for Level<'_> {
+    type Value = ();
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("nested lists of numbers")
+    }
+
+    fn visit_f64<E: de::Error>(self, value: f64) -> Result<(), E> {
+        self.number(value)
+    }
+
+    fn visit_u64<E: de::Error>(self, value: u64) -> Result<(), E> {
+        self.number(value as f64)
+    }
+
+    fn visit_i64<E: de::Error>(self, value: i64) -> Result<(), E> {
+        self.number(value as f64)
+    }
+
+    fn visit_seq<A: de::SeqAccess<'de>>(self, mut list: A) -> Result<(), A::Error> {
+        let Self { depth, data, shape } = self;
+        if depth >= DEPTH {
+            return Err(de::Error::custom("lists are nested too deeply"));
+        }
+        let first = shape.len() == depth;
+        if first {
+            if !data.is_empty() {
+                return Err(de::Error::custom("a list, expected a number as before it"));
+            }
+            shape.push(0);
+        }
+        let mut extent = 0;
+        while list.next_element_seed(Level { depth: depth + 1, data, shape })?.is_some() {
+            extent += 1;
+        }
+        if first {
+            shape[depth] = extent;
+        } else if shape[depth] != extent {
+            let expected = shape[depth];
+            return Err(de::Error::custom(format!("a list of {extent}, expected {expected} as in those before it")));
+        }
+        Ok(())
+    }
+}
+
+impl utoipa::PartialSchema for Numbers {
+    fn schema() -> utoipa::openapi::RefOr<utoipa::openapi::schema::Schema> {
+        Array::schema()
+    }
+}
+
+impl utoipa::ToSchema for Numbers {
+    fn name() -> std::borrow::Cow<'static, str> {
+        Array::name()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn numbers(text: &str) -> Result<Numbers, String> {
+        serde_json::from_str(text).map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn nested_lists_become_arrays() {
+        for (text, shape) in [
+            ("[]", &[0][..]),
+            ("[1, 2.5, -3]", &[3]),
+            ("[[1,2,3],[4,5,6]]", &[2, 3]),
+            ("[[[1]],[[2]]]", &[2, 1, 1]),
+            ("[[],[]]", &[2, 0]),
+        ] {
+            let array = numbers(text).unwrap().0;
+            assert_eq!(array.shape, shape, "{text}");
+            assert_eq!(array.data.len() as u64, 8 * shape.iter().product::<u64>(), "{text}");
+        }
+        assert_eq!(numbers("[[1,2],[3,4]]").unwrap().0.data[24..], 4.0_f64.to_le_bytes());
+        for text in ["1", "[[1],[2,3]]", "[1,[2]]", "[[1],2]", "[null]", "[\"a\"]", "{}", "[[],1]", "[[1,2],[]]"] {
+            assert!(numbers(text).is_err(), "{text}");
+        }
+        assert!(numbers(&"[".repeat(100)).is_err());
+        assert!(numbers(&format!("{}1{}", "[".repeat(9), "]".repeat(9))).unwrap_err().contains("deeply"));
+    }
+
+    #[test]
+    fn the_best_type_that_both_know_is_taken() {
+        let accepted = |value: &'static str| {
+            let headers = [(header::ACCEPT, HeaderValue::from_static(value))].into_iter().collect();
+            Media::accepted(&headers, &ARRAYS).ok()
+        };
+        assert_eq!(accepted("*/*"), Some(Media::Json));
+        assert_eq!(accepted(""), Some(Media::Json));
+        assert_eq!(accepted("application/x-npy"), Some(Media::Npy));
+        assert_eq!(accepted("application/json;q=0.5, application/x-npz"), Some(Media::Npz));
+        assert_eq!(accepted("text/html, application/*;q=0.8"), Some(Media::Json));
+        assert_eq!(accepted("application/octet-stream, */*;q=0.1"), Some(Media::Octets));
+        assert_eq!(accepted("text/html"), None);
+        assert_eq!(accepted("application/json;q=0"), None);
+        assert_eq!(Media::accepted(&HeaderMap::new(), &ARRAYS).unwrap(), Media::Json);
+    }
+
+    #[test]
+    fn the_path_of_a_fault_is_named() {
+        #[derive(Debug, Deserialize)]
+        #[serde(deny_unknown_fields)]
+        struct Document {
+            #[allow(dead_code, reason = "only read")]
+            design: Option<Numbers>,
+        }
+        let fault = |text: &'static str| {
+            let refused = json::<Document>(&Bytes::from_static(text.as_bytes())).unwrap_err();
+            serde_json::to_value(refused.problem()).unwrap()["violations"][0]["field"].clone()
+        };
+        assert!(json::<Document>(&Bytes::new()).is_ok());
+        assert_eq!(fault("{\"design\": [1, \"a\"]}"), "design[1]");
+        assert_eq!(fault("{\"colour\": 1}"), "colour");
+        assert_eq!(fault("{}{}"), "body");
+        assert_eq!(fault("{"), "body");
+        assert_eq!(fault("[1]"), "body");
+    }
+}

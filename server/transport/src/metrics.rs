@@ -1,0 +1,45 @@
+//! `/metrics` for Prometheus.
+
+use std::{sync::OnceLock, time::Duration};
+
+use metrics::{Unit, describe_counter, describe_gauge, describe_histogram};
+use metrics_exporter_prometheus::{PrometheusBuilder, PrometheusHandle};
+
+use crate::observe::names;
+
+/// Upper ends of the histograms' buckets, seconds: a round trip without work to the longest set-up.
+const BUCKETS: [f64; 16] =
+    [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 100.0, 300.0];
+
+/// Starts counting, once a process.
+///
+/// # Errors
+/// If something else counts already.
+pub fn start() -> Result<PrometheusHandle, String> {
+    static HANDLE: OnceLock<Result<PrometheusHandle, String>> = OnceLock::new();
+    HANDLE
+        .get_or_init(|| {
+            let builder = PrometheusBuilder::new().set_buckets(&BUCKETS).map_err(|error| error.to_string())?;
+            let recorder = builder.build_recorder();
+            let handle = recorder.handle();
+            metrics::set_global_recorder(recorder).map_err(|error| error.to_string())?;
+            describe_counter!(names::REQUESTS, "Requests that are over, by rpc, transport and code.");
+            describe_histogram!(
+                names::SECONDS,
+                Unit::Seconds,
+                "Time from a request's arrival to the end of its answer, by rpc and transport."
+            );
+            describe_gauge!(names::IN_FLIGHT, "Requests under way, by transport.");
+            Ok(handle)
+        })
+        .clone()
+}
+
+/// Sorts samples into their buckets from time to time, so that they do not pile up where nobody asks for them.
+pub async fn upkeep(handle: PrometheusHandle) {
+    let mut interval = tokio::time::interval(Duration::from_secs(5));
+    loop {
+        interval.tick().await;
+        handle.run_upkeep();
+    }
+}

@@ -1,0 +1,184 @@
+//! What is around a service on a port: everything that does not depend on what it does.
+//!
+//! ```text
+//! request -> id, span, metrics -> deadline -> route -> credential -> handler (gRPC or HTTP) -> answer watched to its end
+//! ```
+
+use std::{collections::HashMap, pin::Pin, sync::Arc, time::Duration};
+
+use axum::{
+    Router,
+    extract::{MatchedPath, Request, State},
+    http::{HeaderName, HeaderValue, StatusCode, header},
+    middleware::{self, Next},
+    response::{IntoResponse, Response},
+    routing::get,
+};
+use metrics_exporter_prometheus::PrometheusHandle;
+use moldline_service::{Code, ServiceError};
+use tonic::service::Routes;
+use tonic_web::GrpcWebLayer;
+use tower_http::cors::{AllowOrigin, CorsLayer};
+use utoipa::openapi::OpenApi;
+use utoipa_axum::router::OpenApiRouter;
+
+use crate::{
+    access::{self, Access},
+    deadline,
+    health::Health,
+    media::SHAPE,
+    observe::{self, REQUEST_ID, Rpc, Trace},
+    refusal::{Refusal, is_grpc, refuse},
+};
+
+/// A service as it is seen on a port.
+pub struct Served {
+    /// HTTP routes with their description. Callers are asked who they are.
+    pub http: OpenApiRouter,
+    /// gRPC services, whose callers are asked too.
+    pub grpc: Routes,
+    /// gRPC services for everybody: health, reflection.
+    pub open: Routes,
+}
+
+/// Sets the gauges of /metrics to what they are now.
+pub type Gauges = Arc<dyn Fn() -> Pin<Box<dyn Future<Output = ()> + Send>> + Send + Sync>;
+
+/// What the machinery around a service needs to know.
+pub struct Surroundings {
+    /// Who is let in.
+    pub access: Arc<Access>,
+    /// What probes are told.
+    pub health: Health,
+    /// What was counted.
+    pub metrics: PrometheusHandle,
+    /// What is counted when somebody asks.
+    pub gauges: Gauges,
+    /// Where a span comes from.
+    pub trace: Trace,
+    /// Origins of web pages that may call.
+    pub origins: Vec<HeaderValue>,
+}
+
+/// Everything that is served on the port.
+pub fn router(served: Served, surroundings: Surroundings) -> Router {
+    let Surroundings { access, health, metrics, gauges, trace, origins } = surroundings;
+    let (http, openapi) = served.http.split_for_parts();
+    let operations = Arc::new(operations(&openapi));
+    let described: Arc<str> = openapi.to_json().unwrap_or_default().into();
+
+    let scrape = move || async move {
+        gauges().await;
+        ([(header::CONTENT_TYPE, "text/plain; version=0.0.4")], metrics.render())
+    };
+    let ask = middleware::from_fn_with_state(access, access::layer);
+    let administrators = Router::new()
+        .route("/metrics", get(scrape))
+        .route_layer(middleware::from_fn(access::administrators));
+    let http = http
+        .route_layer(middleware::from_fn_with_state(operations, name_http))
+        .merge(administrators)
+        .route_layer(ask.clone());
+    let grpc = only_routes(served.grpc).route_layer(ask).merge(only_routes(served.open));
+    let grpc = grpc.layer(GrpcWebLayer::new()).route_layer(middleware::from_fn(name_grpc));
+    let open = Router::new()
+        .route("/healthz", get(|| async { "alive\n" }))
+        .route("/readyz", get(move || async move { health.ready() }))
+        .route("/openapi.json", get(move || openapi_json(Arc::clone(&described))))
+        .route("/docs", get(docs));
+    let mut router = http
+        .merge(open)
+        .merge(grpc)
+        .fallback(unknown)
+        .method_not_allowed_fallback(method_not_allowed)
+        .layer(middleware::from_fn(deadline::layer));
+    if !origins.is_empty() {
+        router = router.layer(cors(origins));
+    }
+    router.layer(middleware::from_fn_with_state(trace, observe::layer))
+}
+
+/// The services' routes without tonic's answer to all others.
+fn only_routes(routes: Routes) -> Router {
+    routes.into_axum_router().reset_fallback()
+}
+
+/// Names of the operations, by method and path.
+fn operations(openapi: &OpenApi) -> HashMap<(String, String), String> {
+    let mut names = HashMap::new();
+    for (path, item) in &openapi.paths.paths {
+        let methods = [
+            ("GET", &item.get),
+            ("PUT", &item.put),
+            ("POST", &item.post),
+            ("DELETE", &item.delete),
+            ("PATCH", &item.patch),
+        ];
+        for (method, operation) in methods {
+            if let Some(name) = operation.as_ref().and_then(|operation| operation.operation_id.clone()) {
+                names.insert((method.to_owned(), path.clone()), name);
+            }
+        }
+    }
+    names
+}
+
+async fn name_http(
+    State(operations): State<Arc<HashMap<(String, String), String>>>,
+    request: Request,
+    next: Next,
+) -> Response {
+    let path = request.extensions().get::<MatchedPath>().map(|path| path.as_str().to_owned());
+    let key = (request.method().as_str().to_owned(), path.unwrap_or_default());
+    let name = operations.get(&key).cloned();
+    let mut response = next.run(request).await;
+    response.extensions_mut().insert(Rpc(name.unwrap_or(key.1)));
+    response
+}
+
+async fn name_grpc(request: Request, next: Next) -> Response {
+    let name = request.uri().path().rsplit('/').next().unwrap_or_default().to_owned();
+    let mut response = next.run(request).await;
+    response.extensions_mut().insert(Rpc(name));
+    response
+}
+
+async fn openapi_json(described: Arc<str>) -> impl IntoResponse {
+    ([(header::CONTENT_TYPE, "application/json")], described.to_string())
+}
+
+async fn docs() -> impl IntoResponse {
+    const POLICY: &str = "default-src 'none'; connect-src 'self'; script-src 'unsafe-inline'; style-src 'unsafe-inline'";
+    (
+        [(header::CONTENT_TYPE, "text/html; charset=utf-8"), (header::CONTENT_SECURITY_POLICY, POLICY)],
+        include_str!("docs.html"),
+    )
+}
+
+async fn unknown(request: Request) -> Response {
+    if is_grpc(request.headers()) {
+        return tonic::Status::unimplemented("there is no such method").into_http();
+    }
+    refuse(false, ServiceError::new(Code::NotFound, "there is nothing at this path; /docs has what there is"))
+}
+
+async fn method_not_allowed(request: Request) -> Response {
+    if is_grpc(request.headers()) {
+        return tonic::Status::unimplemented("there is no such method").into_http();
+    }
+    let message = format!("{} is not for this path; /docs has what is", request.method());
+    let error = ServiceError::new(Code::InvalidArgument, message);
+    Refusal::with(StatusCode::METHOD_NOT_ALLOWED, error).into_response()
+}
+
+/// Pages of these origins may call, and read what is in headers.
+fn cors(origins: Vec<HeaderValue>) -> CorsLayer {
+    let exposed = ["grpc-status", "grpc-message", "grpc-status-details-bin", "location", "server-timing", "retry-after"];
+    let exposed = exposed.map(HeaderName::from_static).into_iter().chain([REQUEST_ID, SHAPE]);
+    CorsLayer::new()
+        .allow_origin(AllowOrigin::list(origins))
+        .allow_methods(tower_http::cors::AllowMethods::mirror_request())
+        .allow_headers(tower_http::cors::AllowHeaders::mirror_request())
+        .expose_headers(exposed.collect::<Vec<_>>())
+        .max_age(Duration::from_secs(3600))
+}

@@ -1,0 +1,132 @@
+//! TLS, and what a client's certificate says of its bearer.
+//!
+//! A certificate that the clients' authority has signed names its tenant in one of two ways:
+//! - a subject alternative name of kind URI, `moldline://TENANT/ROLE`, with the role `reader`, `user` or `admin`;
+//! - otherwise, the subject's common name is the tenant, and the role is `user`.
+
+use std::{path::Path, sync::Arc};
+
+use moldline_service::{Principal, Role, Tenant};
+use tokio_rustls::{
+    TlsAcceptor,
+    rustls::{
+        RootCertStore, ServerConfig,
+        crypto::ring,
+        pki_types::{CertificateDer, PrivateKeyDer, pem::PemObject},
+        server::WebPkiClientVerifier,
+    },
+};
+use x509_parser::{extensions::GeneralName, prelude::FromDer};
+
+use crate::access;
+
+/// Why there is no TLS.
+#[derive(Debug, thiserror::Error)]
+#[error("{}: {reason}", path.display())]
+pub struct TlsError {
+    path: std::path::PathBuf,
+    reason: String,
+}
+
+/// Certificate, key and the authority of the clients, as PEM files.
+#[derive(Clone, Copy, Debug)]
+pub struct TlsFiles<'a> {
+    /// The server's certificate, followed by those that lead to its authority.
+    pub certificate: &'a Path,
+    /// Its private key.
+    pub key: &'a Path,
+    /// Authorities that sign client certificates.
+    pub client_authority: Option<&'a Path>,
+    /// Whether a client may come without one.
+    pub client_optional: bool,
+}
+
+/// TLS with HTTP/2 and HTTP/1.1.
+///
+/// # Errors
+/// If a file cannot be read, or does not hold what it should.
+pub fn acceptor(files: TlsFiles<'_>) -> Result<TlsAcceptor, TlsError> {
+    let failed = |path: &Path, error: &dyn std::fmt::Display| TlsError {
+        path: path.to_owned(),
+        reason: error.to_string(),
+    };
+    let provider = Arc::new(ring::default_provider());
+    let builder = ServerConfig::builder_with_provider(Arc::clone(&provider))
+        .with_safe_default_protocol_versions()
+        .map_err(|error| failed(files.certificate, &error))?;
+    let builder = match files.client_authority {
+        None => builder.with_no_client_auth(),
+        Some(path) => {
+            let mut roots = RootCertStore::empty();
+            for certificate in certificates(path)? {
+                roots.add(certificate).map_err(|error| failed(path, &error))?;
+            }
+            let mut verifier = WebPkiClientVerifier::builder_with_provider(Arc::new(roots), provider);
+            if files.client_optional {
+                verifier = verifier.allow_unauthenticated();
+            }
+            builder.with_client_cert_verifier(verifier.build().map_err(|error| failed(path, &error))?)
+        }
+    };
+    let key = PrivateKeyDer::from_pem_file(files.key).map_err(|error| failed(files.key, &error))?;
+    let mut config = builder
+        .with_single_cert(certificates(files.certificate)?, key)
+        .map_err(|error| failed(files.certificate, &error))?;
+    config.alpn_protocols = vec![b"h2".to_vec(), b"http/1.1".to_vec()];
+    Ok(TlsAcceptor::from(Arc::new(config)))
+}
+
+fn certificates(path: &Path) -> Result<Vec<CertificateDer<'static>>, TlsError> {
+    let failed = |reason| TlsError { path: path.to_owned(), reason };
+    let read = CertificateDer::pem_file_iter(path).and_then(Iterator::collect::<Result<Vec<_>, _>>);
+    match read {
+        Ok(found) if found.is_empty() => Err(failed("there is no certificate in it".to_owned())),
+        Ok(found) => Ok(found),
+        Err(error) => Err(failed(error.to_string())),
+    }
+}
+
+/// Whom a certificate names; `None` if it names no tenant.
+pub fn principal(certificate: &CertificateDer<'_>) -> Option<Principal> {
+    let (_, certificate) = x509_parser::certificate::X509Certificate::from_der(certificate).ok()?;
+    let names = certificate.subject_alternative_name().ok().flatten();
+    let uri = names.iter().flat_map(|names| &names.value.general_names).find_map(|name| match name {
+        GeneralName::URI(uri) => uri.strip_prefix("moldline://"),
+        _ => None,
+    });
+    let (tenant, role) = match uri {
+        Some(uri) => {
+            let (tenant, role) = uri.split_once('/')?;
+            (tenant, access::role(role)?)
+        }
+        None => (certificate.subject().iter_common_name().next()?.as_str().ok()?, Role::User),
+    };
+    Some(Principal { tenant: Tenant::new(tenant).ok()?, role })
+}
+
+#[cfg(test)]
+mod tests {
+    use rcgen::{CertificateParams, DnType, KeyPair, SanType};
+
+    use super::*;
+
+    fn named(common_name: &str, uri: Option<&str>) -> Option<(String, Role)> {
+        let mut params = CertificateParams::new(Vec::new()).unwrap();
+        params.distinguished_name.push(DnType::CommonName, common_name);
+        params.subject_alt_names.extend(uri.map(|uri| SanType::URI(uri.try_into().unwrap())));
+        let certificate = params.self_signed(&KeyPair::generate().unwrap()).unwrap();
+        principal(certificate.der()).map(|principal| (principal.tenant.to_string(), principal.role))
+    }
+
+    #[test]
+    fn a_certificate_names_its_tenant_and_role() {
+        assert_eq!(named("anna", None), Some(("anna".to_owned(), Role::User)));
+        assert_eq!(named("x", Some("moldline://bert/reader")), Some(("bert".to_owned(), Role::Reader)));
+        assert_eq!(named("anna", Some("https://example.org")), Some(("anna".to_owned(), Role::User)));
+        // What it claims in vain is not made up for by the common name.
+        assert_eq!(named("anna", Some("moldline://bert/king")), None);
+        assert_eq!(named("anna", Some("moldline://bert")), None);
+        assert_eq!(named("Anna Smith", None), None);
+        assert!(principal(&CertificateDer::from(vec![1, 2, 3])).is_none());
+    }
+}

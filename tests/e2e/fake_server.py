@@ -1,0 +1,119 @@
+"""A server that misbehaves on demand, and remembers who asked for what and when."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from concurrent import futures
+from types import TracebackType
+from typing import Any
+
+import grpc
+import numpy as np
+from google.protobuf import any_pb2, duration_pb2
+from google.rpc import code_pb2, error_details_pb2, status_pb2
+from grpc_status import rpc_status
+from moldline.v1 import array_pb2, mesh_service_pb2, mesh_service_pb2_grpc
+
+wire: Any = mesh_service_pb2
+#: Of its one set-up.
+VARIABLES, VERTICES = 4, 5
+JACOBIAN = np.arange(VARIABLES * VERTICES * 3, dtype=float).reshape(VARIABLES, VERTICES, 3) / 7
+
+
+def refusal(code: str, retry_after: float | None = None) -> Any:
+    """What to answer with: the status of that code, with google.rpc details."""
+    status = status_pb2.Status(code=code_pb2.Code.Value(code), message=f"{code} on demand")
+    if retry_after is not None:
+        delay = duration_pb2.Duration()
+        delay.FromNanoseconds(round(1e9 * retry_after))
+        packed = any_pb2.Any()
+        packed.Pack(error_details_pb2.RetryInfo(retry_delay=delay))
+        status.details.append(packed)
+    return rpc_status.to_status(status)
+
+
+class FakeServer(mesh_service_pb2_grpc.MeshServiceServicer):
+    """Answers `refusals` in turn, one a call, and then as a server should."""
+
+    def __init__(self, credentials: grpc.ServerCredentials | None = None) -> None:
+        self.refusals: list[Any] = []
+        #: Of each call: when it came, its metadata, its request, the seconds that it had, and who the peer has proved to be.
+        self.calls: list[tuple[float, dict[str, str], Any, float | None, list[bytes]]] = []
+        self._server = grpc.server(futures.ThreadPoolExecutor(4))
+        mesh_service_pb2_grpc.add_MeshServiceServicer_to_server(self, self._server)
+        if credentials is None:
+            port = self._server.add_insecure_port("127.0.0.1:0")
+        else:
+            port = self._server.add_secure_port("127.0.0.1:0", credentials)
+        self.address = f"127.0.0.1:{port}"
+
+    @property
+    def times(self) -> list[float]:
+        return [call[0] for call in self.calls]
+
+    def _came(self, request: Any, context: grpc.ServicerContext) -> None:
+        metadata = {key: str(value) for key, value in context.invocation_metadata()}
+        identities = list(context.peer_identities() or ())
+        self.calls.append((time.monotonic(), metadata, request, context.time_remaining(), identities))
+
+    def _answer(self, request: Any, context: grpc.ServicerContext) -> None:
+        self._came(request, context)
+        if self.refusals:
+            context.abort_with_status(self.refusals.pop(0))
+
+    def GetStatus(self, request: Any, context: grpc.ServicerContext) -> Any:
+        self._answer(request, context)
+        return wire.GetStatusResponse(version="fake")
+
+    def ListSetups(self, request: Any, context: grpc.ServicerContext) -> Any:
+        self._answer(request, context)
+        page = int(request.page_token or 0)
+        following = str(page + 1) if page < 2 else ""
+        return wire.ListSetupsResponse(setups=[wire.SetupSummary(setup_id=f"set-up {page}")], next_page_token=following)
+
+    def GetSession(self, request: Any, context: grpc.ServicerContext) -> Any:
+        return wire.GetSessionResponse(session=wire.Session(session_id=request.session_id, setup_id="fake", generation=7))
+
+    def GetSetup(self, request: Any, context: grpc.ServicerContext) -> Any:
+        variables = [wire.Variable(name=f"x{index}", unit="m") for index in range(VARIABLES)]
+        setup = wire.SetupDescription(
+            setup_id="fake",
+            report_json="{}",
+            variables=variables,
+            functions=[wire.Function(name="volume", unit="m^3")],
+            vertex_count=VERTICES,
+        )
+        return wire.GetSetupResponse(setup=setup)
+
+    def UpdateSession(self, request: Any, context: grpc.ServicerContext) -> Any:
+        self._answer(request, context)
+        generation = request.expected_generation + 1
+        return wire.UpdateSessionResponse(session=wire.Session(session_id=request.session_id, generation=generation))
+
+    def Jacobian(self, request: Any, context: grpc.ServicerContext) -> Iterator[Any]:
+        """One column a message; a refusal comes after the second one."""
+        self._came(request, context)
+        refused = self.refusals.pop(0) if self.refusals else None
+        for column in range(VARIABLES):
+            if column == 2 and refused is not None:
+                context.abort_with_status(refused)
+            yield wire.JacobianResponse(
+                first=column,
+                columns=VARIABLES,
+                vertices=_array(JACOBIAN[column : column + 1]),
+                functions=_array(np.zeros((1, 1))),
+            )
+
+    def __enter__(self) -> FakeServer:
+        self._server.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._server.stop(None).wait()
+
+
+def _array(values: np.ndarray) -> array_pb2.Array:
+    return array_pb2.Array(dtype=array_pb2.DATA_TYPE_FLOAT64, shape=values.shape, data=values.tobytes())

@@ -1,0 +1,30 @@
+"""Requests that schemathesis makes up from the description: none breaks the server, and answers are as described."""
+
+from __future__ import annotations
+
+import schemathesis
+from hypothesis import HealthCheck, Phase, settings
+from schemathesis import Case
+from server import Server
+
+import pytest
+
+
+@pytest.fixture
+def api(server: Server, setup: object) -> schemathesis.BaseSchema:
+    return schemathesis.openapi.from_url(f"http://{server.address}/openapi.json")
+
+
+schema = schemathesis.pytest.from_fixture("api")
+
+
+@schema.parametrize()
+@settings(
+    max_examples=25,
+    deadline=None,
+    derandomize=True,
+    phases=[Phase.explicit, Phase.generate],
+    suppress_health_check=list(HealthCheck),
+)
+def test_answers_are_as_described(case: Case) -> None:
+    case.call_and_validate(timeout=30)

@@ -1,0 +1,101 @@
+//! The clients that are compiled: what they need, and how they are built.
+
+use std::{
+    fs,
+    num::NonZeroUsize,
+    path::{Path, PathBuf},
+    process::{Command, Stdio},
+    thread,
+};
+
+use crate::process::{Outcome, cargo, command, root, run};
+
+/// What Debian and its relatives call what the C++ client is built with and from.
+const PACKAGES: [&str; 6] =
+    ["cmake", "g++", "protobuf-compiler", "protobuf-compiler-grpc", "libprotobuf-dev", "libgrpc++-dev"];
+
+/// Programs that drive the clients, and an example that uses the installed C++ client.
+#[derive(Debug)]
+pub struct Clients {
+    /// The Rust client's driver.
+    pub rust: PathBuf,
+    /// The C++ client's driver.
+    pub cpp: PathBuf,
+    /// The C++ client's example.
+    pub optimizer: PathBuf,
+}
+
+impl Clients {
+    /// Builds the drivers of the end-to-end tests, installs the C++ client below `target/`, and builds its example against
+    /// what is installed there.
+    pub fn built() -> Outcome<Self> {
+        // With the features of the whole workspace, as the tests are built: nothing is compiled twice.
+        let mut rust = cargo();
+        rust.args(["build", "--locked", "--workspace", "--example", "driver", "--example", "sweep"]);
+        run("Rust client's driver and example", &mut rust)?;
+        let (library, prefix, examples) =
+            (root().join("target/cpp"), root().join("target/cpp/prefix"), root().join("target/cpp-examples"));
+        let mut configure = cmake();
+        configure
+            .args(["-S", "client/cpp", "-DMOLDLINE_WERROR=ON", "-DMOLDLINE_TESTS=ON", "-B"])
+            .arg(&library);
+        if !succeeds(&mut configure) {
+            install_packages()?;
+            // What was not there may be remembered.
+            let _ = fs::remove_file(library.join("CMakeCache.txt"));
+            run("configure the C++ client", &mut configure)?;
+        }
+        build("C++ client and driver", &library)?;
+        run("install the C++ client", cmake().arg("--install").arg(&library).arg("--prefix").arg(&prefix))?;
+        let mut configure = cmake();
+        configure.args(["-S", "client/cpp/examples", "-B"]).arg(&examples);
+        configure.arg(format!("-DCMAKE_PREFIX_PATH={}", prefix.display()));
+        run("configure the C++ example", configure.stdout(Stdio::null()))?;
+        build("C++ example", &examples)?;
+        Ok(Self {
+            rust: root().join("target/debug/examples/driver"),
+            cpp: library.join("moldline-driver"),
+            optimizer: examples.join("moldline-optimizer"),
+        })
+    }
+
+    /// Tells the end-to-end tests.
+    pub fn tell<'a>(&self, tests: &'a mut Command) -> &'a mut Command {
+        tests
+            .env("MOLDLINE_DRIVER_RUST", &self.rust)
+            .env("MOLDLINE_DRIVER_CPP", &self.cpp)
+            .env("MOLDLINE_OPTIMIZER", &self.optimizer)
+    }
+}
+
+fn cmake() -> Command {
+    command("cmake")
+}
+
+fn build(title: &str, folder: &Path) -> Outcome {
+    let cores = thread::available_parallelism().map_or(1, NonZeroUsize::get).to_string();
+    run(title, cmake().arg("--build").arg(folder).args(["--parallel", &cores]))
+}
+
+fn succeeds(command: &mut Command) -> bool {
+    command.stdout(Stdio::null()).stderr(Stdio::null()).status().is_ok_and(|status| status.success())
+}
+
+/// Installs what the C++ client needs, where that can be done without asking.
+fn install_packages() -> Outcome {
+    let packages = PACKAGES.join(" ");
+    let is_root = command("id").arg("-u").output().is_ok_and(|output| output.stdout.trim_ascii() == b"0");
+    if !is_root || !succeeds(command("apt-get").arg("--version")) {
+        return Err(format!(
+            "the C++ client does not configure without CMake, a C++17 compiler, protobuf and gRPC; \
+             install them (Debian: apt-get install {packages})"
+        ));
+    }
+    let apt = || {
+        let mut apt = command("apt-get");
+        apt.args(["--quiet", "--yes"]).env("DEBIAN_FRONTEND", "noninteractive").stdout(Stdio::null());
+        apt
+    };
+    run("package lists", apt().arg("update"))?;
+    run(&packages, apt().args(["install", "--no-install-recommends"]).args(PACKAGES))
+}
