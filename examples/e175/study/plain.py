@@ -23,6 +23,8 @@ from raymer import POUND_FORCE
 from scipy.optimize import minimize
 from services import services
 
+HERE = Path(__file__).resolve().parent
+
 Array = NDArray[np.float64]
 
 
@@ -115,7 +117,7 @@ def main() -> None:
     parser.add_argument("--coarse", action="store_true", help="on the mesh of 2,400 cells")
     arguments = parser.parse_args()
 
-    with services(arguments.binary, coarse=arguments.coarse) as (session, flow):
+    with services(arguments.binary, HERE / "out", coarse=arguments.coarse) as (session, flow):
         problem = Problem(session, flow, PROBLEMS[arguments.problem])
 
         def tell(z: Array) -> None:

@@ -110,6 +110,8 @@ def write(out: Path, result: Mapping[str, Any], shapes: Mapping[str, Shape]) -> 
         data = base64.b64encode((out / name).read_bytes()).decode()
         parts.append(f'<h2>{title}</h2><img alt="{title}" src="data:image/png;base64,{data}">')
     parts += ["<h2>Choices of the model</h2>", _choices(result)]
+    if result["variants"]:
+        parts += ["<h2>Optima with other choices, coarse mesh</h2>", _html_table(_variants(result["variants"]))]
     (out / "report.html").write_text("\n".join(parts) + "\n")
 
 
@@ -130,6 +132,22 @@ def _choices(result: Mapping[str, Any]) -> str:
         "of the baseline kept in trim and of the optima.</p>"
     )
     return note + _html_table(rows, text_columns={3})
+
+
+def _variants(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
+    """Baselines and optima with other numbers of the model."""
+    heads = ("", "problem", "W_0, N", "W_f baseline, N", "W_f, N", "saved, %", "L/D", "S_W, ft^2", "A_W", "travel, ft", "margin, %", "converged")
+    table = [heads]
+    for row in rows:
+        start, end = row["baseline"], row["optimum"]
+        table.append((
+            row["variant"], TITLES[row["problem"]], f"{end['gross_weight']:,.0f}",
+            f"{start['fuel_weight']:,.0f}", f"{end['fuel_weight']:,.0f}",
+            f"{100 * (1 - end['fuel_weight'] / start['fuel_weight']):.1f}", f"{end['lift_to_drag']:.2f}",
+            f"{end['wing_area'] / FOOT**2:.0f}", f"{end['wing_aspect_ratio']:.2f}", f"{row['travel_ft']:+.1f}",
+            f"{100 * end['static_margin']:.1f}", "yes" if row["converged"] else "no",
+        ))  # fmt: skip
+    return table
 
 
 def _html_table(

@@ -12,11 +12,9 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import shutil
 import sys
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -29,23 +27,20 @@ from formulation import FUEL, OBJECTIVE, PROBLEMS
 from numpy.typing import NDArray
 from problem import Aerodynamics, Study
 from raymer import POUND_FORCE
+from services import services
 
 HERE = Path(__file__).resolve().parent
-E175 = HERE.parent
 
 Array = NDArray[np.float64]
 
 
-def setup_folder(out: Path, coarse: bool) -> Path:
-    """The E175, or a copy of it with the coarse mesh."""
-    if not coarse:
-        return E175
-    folder = out / "setup-coarse"
-    shutil.rmtree(folder, ignore_errors=True)
-    shutil.copytree(E175 / "geometry", folder / "geometry")
-    shutil.copy(E175 / "setup.toml", folder)
-    shutil.copy(HERE / "mesh-coarse.msh", folder / "mesh.msh")
-    return folder
+#: What is optimised anew with another choice, on the coarse mesh: the choices that matter most.
+VARIANTS: dict[str, dict[str, float]] = {
+    "as it is": {},
+    "engines weighed": {"engines_weighed": 1.0},
+    "tail arm between the quarter chords": {"tail_arm_offset": 0.0},
+    "no drag of the upswept tail": {"upsweep": 0.0},
+}
 
 
 class Progress:
@@ -192,6 +187,28 @@ def shape(session: moldline.Session, flow: Aerodynamics, iterate: slsqp.Iterate)
     )
 
 
+def variants(binary: Path, out: Path, *, iterations: int, resume: bool) -> list[dict[str, Any]]:
+    """The optima with other choices, on the coarse mesh."""
+    rows = []
+    with services(binary, out, coarse=True) as (session, flow):
+        for title, model in VARIANTS.items():
+            for name in PROBLEMS:
+                print(f"\nvariant: {title}", flush=True)
+                folder = out / "variants" / title.replace(" ", "-")
+                folder.mkdir(parents=True, exist_ok=True)
+                _, outcome = solve(name, session, flow, folder, iterations=iterations, resume=resume, model=model)
+                first, last = (outcome.iterates[k].notes["values"] for k in (0, -1))
+                rows.append({
+                    "variant": title,
+                    "problem": name,
+                    "converged": outcome.converged,
+                    "baseline": first["results"],
+                    "optimum": last["results"],
+                    "travel_ft": last["design"][session.setup.groups["wing.translation"].entries][0],
+                })  # fmt: skip
+    return rows
+
+
 def goals(problems: Mapping[str, Any]) -> list[dict[str, Any]]:
     """What the study is to reach, and whether it does."""
     rows: list[dict[str, Any]] = []
@@ -226,15 +243,9 @@ def goals(problems: Mapping[str, Any]) -> list[dict[str, Any]]:
     return rows
 
 
-@contextmanager
-def services(arguments: argparse.Namespace) -> Iterator[tuple[moldline.Session, Aerodynamics]]:
-    """A session of the mesh service, and the panel service for its mesh."""
-    raise NotImplementedError
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--binary", type=Path, help="the moldline program; it is started")
+    parser.add_argument("--binary", type=Path, required=True, help="the moldline program; it is started")
     parser.add_argument("--out", type=Path, default=HERE / "out", help="folder to write to")
     parser.add_argument("--problems", nargs="+", choices=list(PROBLEMS), default=list(PROBLEMS), help="static margin or not")
     parser.add_argument("--iterations", type=int, default=40, help="at most so many")
@@ -242,6 +253,7 @@ def main() -> int:
     parser.add_argument("--resume", action="store_true", help="take what the records in the folder have")
     parser.add_argument("--angle-of-attack", action="store_true", help="as a variable too")
     parser.add_argument("--check", action="store_true", help="compare all derivatives with differences (long)")
+    parser.add_argument("--variants", action="store_true", help="also with other choices of the model, on the coarse mesh")
     parser.add_argument("--no-pictures", action="store_true", help="leave the pictures out")
     arguments = parser.parse_args()
     out: Path = arguments.out
@@ -249,7 +261,7 @@ def main() -> int:
     begun = time.perf_counter()
     found: dict[str, Any] = {}
     shapes: dict[str, report.Shape] = {}
-    with services(arguments) as (session, flow):
+    with services(arguments.binary, out, coarse=arguments.coarse) as (session, flow):
         cells = session.setup.cell_count
         variables = [variable.name for variable in session.setup.variables]
         for name in arguments.problems:
@@ -280,11 +292,15 @@ def main() -> int:
             if not arguments.no_pictures:
                 shapes.setdefault("baseline", shape(session, flow, ends["start"]))
                 shapes[name] = shape(session, flow, ends["optimum"])
+    others = []
+    if arguments.variants:
+        others = variants(arguments.binary, out, iterations=arguments.iterations, resume=arguments.resume)
     result = {
         "cells": cells,
         "cores": os.cpu_count(),
         "seconds": time.perf_counter() - begun,
         "problems": found,
+        "variants": others,
         "goals": goals(found),
     }
     (out / "report.json").write_text(json.dumps(result, indent=1) + "\n")
