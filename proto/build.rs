@@ -6,8 +6,12 @@ use prost::Message;
 use prost_types::{FileDescriptorSet, field_descriptor_proto::Type};
 use tonic_prost_build::Builder;
 
-const FILES: [&str; 3] =
-    ["moldline/v1/array.proto", "moldline/v1/quality.proto", "moldline/v1/mesh_service.proto"];
+const FILES: [&str; 4] = [
+    "moldline/v1/array.proto",
+    "moldline/v1/quality.proto",
+    "moldline/v1/mesh_service.proto",
+    "moldline/v1/panel_service.proto",
+];
 
 fn main() -> Result<(), Box<dyn Error>> {
     println!("cargo::rerun-if-changed=moldline");
@@ -15,7 +19,8 @@ fn main() -> Result<(), Box<dyn Error>> {
     let out = PathBuf::from(env::var("OUT_DIR")?);
     fs::write(out.join("descriptors.bin"), descriptors.encode_to_vec())?;
     let builder = tonic_prost_build::configure().bytes(".moldline.v1");
-    let builder = if env::var_os("CARGO_FEATURE_JSON").is_some() { json(builder, &descriptors) } else { builder };
+    let builder =
+        if env::var_os("CARGO_FEATURE_JSON").is_some() { json(builder, &descriptors) } else { builder };
     builder.compile_fds(descriptors)?;
     Ok(())
 }
@@ -26,7 +31,7 @@ fn json(mut builder: Builder, descriptors: &FileDescriptorSet) -> Builder {
     const DERIVE: &str = "#[derive(serde::Serialize, utoipa::ToSchema)]";
     const WORDS: &str = "#[serde(rename_all = \"snake_case\")]";
     // These may be infinite, which JSON writes as null.
-    const INFINITE: [&str; 3] = ["Variable", "QualitySummary", "Distribution"];
+    const INFINITE: [&str; 4] = ["Variable", "QualitySummary", "Distribution", "FlowCoefficients"];
     for file in descriptors.file.iter().filter(|file| file.package() == "moldline.v1") {
         for named in &file.enum_type {
             let path = format!(".moldline.v1.{}", named.name());
@@ -45,10 +50,11 @@ fn json(mut builder: Builder, descriptors: &FileDescriptorSet) -> Builder {
                     let full = format!("{path}.{}", oneof.name());
                     // The end of a path, since what begins with the whole one are its variants too.
                     let field = format!("{}.{}", message.name(), oneof.name());
-                    builder = builder
-                        .enum_attribute(&full, DERIVE)
-                        .enum_attribute(&full, WORDS)
-                        .field_attribute(&field, "#[serde(flatten, skip_serializing_if = \"Option::is_none\")]");
+                    builder =
+                        builder.enum_attribute(&full, DERIVE).enum_attribute(&full, WORDS).field_attribute(
+                            &field,
+                            "#[serde(flatten, skip_serializing_if = \"Option::is_none\")]",
+                        );
                 }
             }
             for field in &message.field {

@@ -65,7 +65,8 @@ impl Serialize for Array {
 
 impl PartialSchema for Array {
     fn schema() -> RefOr<Schema> {
-        let description = "Numbers in nested lists, one level for each dimension. What is not finite is null.";
+        let description =
+            "Numbers in nested lists, one level for each dimension. What is not finite is null.";
         let anything = ObjectBuilder::new().schema_type(SchemaType::AnyValue);
         ArrayBuilder::new().items(anything).description(Some(description)).build().into()
     }
@@ -93,7 +94,8 @@ mod tests {
             data: data.to_vec().into(),
         };
         let text = |array| serde_json::to_string(&array).unwrap();
-        let numbers: Vec<u8> = [1.5, -2.0, f64::INFINITY, 4.0].iter().flat_map(|x: &f64| x.to_le_bytes()).collect();
+        let numbers: Vec<u8> =
+            [1.5, -2.0, f64::INFINITY, 4.0].iter().flat_map(|x: &f64| x.to_le_bytes()).collect();
         assert_eq!(text(array(DataType::Float64, &[2, 2], &numbers)), "[[1.5,-2.0],[null,4.0]]");
         assert_eq!(text(array(DataType::Float64, &[2, 0, 3], &[])), "[[],[]]");
         assert_eq!(text(array(DataType::Uint32, &[1], &[255; 4])), "[4294967295]");

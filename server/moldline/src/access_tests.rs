@@ -46,7 +46,8 @@ impl Expected {
 fn rpcs() -> Vec<String> {
     let files = prost_types::FileDescriptorSet::decode(FILE_DESCRIPTOR_SET).unwrap();
     let services = files.file.iter().flat_map(|file| &file.service);
-    let methods = services.filter(|service| service.name() == "MeshService").flat_map(|service| &service.method);
+    let methods =
+        services.filter(|service| service.name() == "MeshService").flat_map(|service| &service.method);
     methods.map(|method| method.name().to_owned()).collect()
 }
 
@@ -73,6 +74,11 @@ fn functions(count: u64) -> Option<v1::Array> {
     ones(&[1, count])
 }
 
+/// Which ball is uploaded: while there is no set-up yet, anna's; then another, so that nobody else comes to own hers.
+fn another(setup: &str) -> &'static str {
+    if setup.is_empty() { "ball" } else { "another" }
+}
+
 /// The call over gRPC.
 async fn grpc(
     channel: &Channel,
@@ -91,7 +97,7 @@ async fn grpc(
     let (setup_id, session_id) = (setup.to_owned(), session.to_owned());
     match rpc {
         "CreateSetup" => {
-            let file = ball::setup_file("ball");
+            let file = ball::setup_file(another(setup));
             let entry = v1::FileEntry { path: "setup.json".to_owned(), size: file.len() as u64 };
             let source = v1::setup_header::Source::Files(v1::FileList { files: vec![entry] });
             let header = v1::SetupHeader { source: Some(source), ..Default::default() };
@@ -153,7 +159,8 @@ async fn grpc(
             client.apply_adjoint(request).await.map(drop)
         }
         "Jacobian" => {
-            let mut blocks = client.jacobian(v1::JacobianRequest { session_id, at: point() }).await?.into_inner();
+            let mut blocks =
+                client.jacobian(v1::JacobianRequest { session_id, at: point() }).await?.into_inner();
             while blocks.message().await?.is_some() {}
             Ok(())
         }
@@ -171,8 +178,8 @@ async fn http(
     count: u64,
 ) -> Answer {
     let at = json!({ "design_point": {} });
+    let ball = ball::setup_file(another(setup));
     let (setup, session) = (format!("/v1/setups/{setup}"), format!("/v1/sessions/{session}"));
-    let ball = ball::setup_file("ball");
     let (method, path, body) = match rpc {
         "CreateSetup" => ("POST", "/v1/setups".to_owned(), ball),
         "GetSetup" => ("GET", setup, String::new()),
@@ -185,7 +192,9 @@ async fn http(
         "UpdateSession" => ("PATCH", session, json!({ "expected_generation": 1, "label": "x" }).to_string()),
         "CloseSession" => ("DELETE", session, String::new()),
         "Deform" => ("POST", session + "/deform", "{}".to_owned()),
-        "ApplyJacobianVector" => ("POST", session + "/jvp", json!({ "at": at, "design": [[1.0]] }).to_string()),
+        "ApplyJacobianVector" => {
+            ("POST", session + "/jvp", json!({ "at": at, "design": [[1.0]] }).to_string())
+        }
         "ApplyAdjoint" => {
             let functions = vec![vec![1.0; count as usize]];
             ("POST", session + "/vjp", json!({ "at": at, "functions": functions }).to_string())
@@ -212,7 +221,12 @@ async fn every_rpc_asks_who_calls_and_whether_they_may() {
     let user = token("anna", Role::User, None);
     let callers = [
         Caller { name: "nobody", token: None, sees: Unauthenticated, does: Unauthenticated },
-        Caller { name: "made up", token: Some(format!("{user}0")), sees: Unauthenticated, does: Unauthenticated },
+        Caller {
+            name: "made up",
+            token: Some(format!("{user}0")),
+            sees: Unauthenticated,
+            does: Unauthenticated,
+        },
         Caller {
             name: "expired",
             token: Some(token("anna", Role::Admin, Some(Duration::ZERO))),
@@ -222,8 +236,18 @@ async fn every_rpc_asks_who_calls_and_whether_they_may() {
         Caller { name: "reader", token: Some(token("anna", Role::Reader, None)), sees: Fine, does: Denied },
         Caller { name: "user", token: Some(user.clone()), sees: Fine, does: Fine },
         Caller { name: "admin", token: Some(token("anna", Role::Admin, None)), sees: Fine, does: Fine },
-        Caller { name: "other", token: Some(token("bert", Role::User, None)), sees: NotFound, does: NotFound },
-        Caller { name: "other admin", token: Some(token("bert", Role::Admin, None)), sees: NotFound, does: NotFound },
+        Caller {
+            name: "other",
+            token: Some(token("bert", Role::User, None)),
+            sees: NotFound,
+            does: NotFound,
+        },
+        Caller {
+            name: "other admin",
+            token: Some(token("bert", Role::Admin, None)),
+            sees: NotFound,
+            does: NotFound,
+        },
     ];
     let access = Access { tokens: Some(TokenFile::open(&path).unwrap()), certificates: false };
     let server = Server::with(access, Limits::default()).await;
@@ -250,7 +274,8 @@ async fn every_rpc_asks_who_calls_and_whether_they_may() {
                     let told = outcome.as_ref().map_or_else(|status| word(status.code()), |()| "OK");
                     assert_eq!(told, code, "{what}: {outcome:?}");
                     if let (NotFound, Err(refused)) = (expected, outcome) {
-                        let unknown = grpc(&channel, token.as_deref(), rpc, ("0000", "0000"), count).await.unwrap_err();
+                        let unknown =
+                            grpc(&channel, token.as_deref(), rpc, ("0000", "0000"), count).await.unwrap_err();
                         let same = refused.message().replace(&setup, "0000").replace(&session, "0000");
                         assert_eq!(same, unknown.message(), "{what} tells that it exists");
                     }
@@ -266,7 +291,9 @@ async fn every_rpc_asks_who_calls_and_whether_they_may() {
                     if expected == NotFound {
                         let unknown = http(&server, token.as_deref(), rpc, ("0000", "0000"), count).await;
                         let text = |answer: &Answer| {
-                            String::from_utf8_lossy(&answer.body).replace(&setup, "0000").replace(&session, "0000")
+                            String::from_utf8_lossy(&answer.body)
+                                .replace(&setup, "0000")
+                                .replace(&session, "0000")
                         };
                         assert_eq!(text(&answer), text(&unknown), "{what} tells that it exists");
                     }
@@ -279,7 +306,9 @@ async fn every_rpc_asks_who_calls_and_whether_they_may() {
                         // What bert has made in this table is bert's alone.
                         assert!(!String::from_utf8_lossy(&answer.body).contains(&session), "{what}");
                         let all = answer.json();
-                        let owned = |entry: &serde_json::Value| list == "sessions" || entry["access"]["owned"] == true;
+                        let owned = |entry: &serde_json::Value| {
+                            list == "sessions" || entry["access"]["owned"] == true
+                        };
                         assert!(all[list].as_array().unwrap().iter().all(owned), "{what}: {all}");
                     }
                 }
@@ -379,7 +408,8 @@ async fn certificates_name_their_tenants_over_tls() {
         });
         let header = v1::SetupHeader { source: Some(source), ..Default::default() };
         let chunk = v1::SetupChunk { file: 0, data: file.into_bytes().into() };
-        let parts = [v1::create_setup_request::Part::Header(header), v1::create_setup_request::Part::Chunk(chunk)];
+        let parts =
+            [v1::create_setup_request::Part::Header(header), v1::create_setup_request::Part::Chunk(chunk)];
         let parts = parts.map(|part| v1::CreateSetupRequest { part: Some(part) });
         let created = async {
             let mut events = client.create_setup(tokio_stream::iter(parts)).await?.into_inner();
@@ -390,7 +420,8 @@ async fn certificates_name_their_tenants_over_tls() {
         let listed = client.list_setups(v1::ListSetupsRequest::default()).await;
         (created, listed.map(|listed| listed.into_inner().setups.len()).map_err(|status| status.code()))
     };
-    let (anna, bert) = (authority.sign("anna", None, &[]), authority.sign("x", Some("moldline://bert/reader"), &[]));
+    let (anna, bert) =
+        (authority.sign("anna", None, &[]), authority.sign("x", Some("moldline://bert/reader"), &[]));
     assert_eq!(ask(Some(anna)).await, (Ok(()), Ok(1)));
     // Another tenant, who may only look, and sees nothing of it.
     assert_eq!(ask(Some(bert)).await, (Err(tonic::Code::PermissionDenied), Ok(0)));
@@ -400,6 +431,9 @@ async fn certificates_name_their_tenants_over_tls() {
     let stranger = Authority::new().sign("anna", None, &[]);
     for identity in [None, Some(stranger)] {
         let refused = ask(identity).await;
-        assert!(refused.0.is_err() && refused.1.is_err() && refused.1 != Err(tonic::Code::Unauthenticated), "{refused:?}");
+        assert!(
+            refused.0.is_err() && refused.1.is_err() && refused.1 != Err(tonic::Code::Unauthenticated),
+            "{refused:?}"
+        );
     }
 }

@@ -486,7 +486,9 @@ fn check_float64(field: &str, array: &v1::Array) -> Result<(), ServiceError> {
 
 /// Little-endian numbers of any alignment, one by one or in points.
 fn elements<T: bytemuck::Pod>(bytes: &[u8], swap: impl Fn(&mut T)) -> Vec<T> {
-    let mut elements = bytemuck::pod_collect_to_vec(bytes);
+    let mut elements = vec![T::zeroed(); bytes.len() / size_of::<T>()];
+    let filled = size_of_val(&elements[..]);
+    bytemuck::cast_slice_mut(&mut elements).copy_from_slice(&bytes[..filled]);
     if cfg!(target_endian = "big") {
         elements.iter_mut().for_each(swap);
     }

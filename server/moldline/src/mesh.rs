@@ -2,9 +2,13 @@
 
 use std::sync::Arc;
 
+use bytes::Bytes;
 use moldline_proto::v1;
 use moldline_service::{Principal, Product, Service, ServiceError, SetupView, UploadHeader, Wanted};
-use tracing::Span;
+use moldline_transport::Deadline;
+use tokio::sync::mpsc;
+use tokio_stream::{Stream, StreamExt};
+use tracing::{Instrument, Span};
 
 use crate::convert;
 
@@ -26,20 +30,20 @@ impl Meshes {
         &self.service
     }
 
-    /// Receives, builds, and tells about it. `next` gives the bytes to come, and of which file they are; `refuse` makes an
-    /// error of the transport.
+    /// Receives, builds, and tells about it. `parts` are the bytes to come, each with the index of its file; `refuse` makes
+    /// an error of the transport.
     pub async fn create_setup<E>(
         &self,
         caller: &Principal,
         header: UploadHeader,
-        mut next: impl AsyncFnMut() -> Result<Option<(usize, bytes::Bytes)>, E>,
+        mut parts: impl Stream<Item = Result<(usize, Bytes), E>> + Unpin,
         mut tell: impl FnMut(v1::Progress),
         refuse: impl Fn(ServiceError) -> E,
     ) -> Result<v1::CreatedSetup, E> {
         let mut receiving = self.service.receive(caller, header).map_err(&refuse)?;
         let mut told = 0.0;
         tell(convert::progress(receiving.progress()));
-        while let Some((file, data)) = next().await? {
+        while let Some((file, data)) = parts.next().await.transpose()? {
             receiving.append(file, &data).map_err(&refuse)?;
             let progress = receiving.progress();
             if progress.fraction >= told + 0.01 {
@@ -154,11 +158,7 @@ impl Meshes {
         Ok(v1::CloseSessionResponse {})
     }
 
-    pub async fn deform(
-        &self,
-        caller: &Principal,
-        request: v1::DeformRequest,
-    ) -> Answer<v1::DeformResponse> {
+    pub async fn deform(&self, caller: &Principal, request: v1::DeformRequest) -> Answer<v1::DeformResponse> {
         let v1::DeformRequest { session_id, input, control_points, include_cell_quality } = request;
         on_session(&session_id);
         let design = convert::design(input, control_points)?;
@@ -190,12 +190,36 @@ impl Meshes {
         Ok(convert::vjp(&self.service.vjp(caller, &request.session_id, at, seeds, wanted).await?))
     }
 
-    /// Computes the columns in large blocks, and gives them to `send` in messages of about 1 MiB, until it wants no more.
-    pub async fn jacobian(
+    /// The columns, computed apart from the request as fast as somebody takes them; an error is the last.
+    pub fn jacobian(
+        &self,
+        caller: Principal,
+        deadline: Deadline,
+        request: v1::JacobianRequest,
+    ) -> mpsc::Receiver<Answer<v1::JacobianResponse>> {
+        // A client that reads slowly holds up its own columns only, and few of them are waiting.
+        let (sender, columns) = mpsc::channel(4);
+        let meshes = self.clone();
+        let work = async move {
+            let outcome = tokio::select! {
+                outcome = deadline.limit(meshes.columns(&caller, request, &sender), |error| error) => outcome,
+                // The client has gone, and with this future the interest in what is computed.
+                () = sender.closed() => return,
+            };
+            if let Err(error) = outcome {
+                let _ = sender.send(Err(error)).await;
+            }
+        };
+        tokio::spawn(work.instrument(Span::current()));
+        columns
+    }
+
+    /// Computes the columns in large blocks, and sends them in messages of about 1 MiB.
+    async fn columns(
         &self,
         caller: &Principal,
         v1::JacobianRequest { session_id, at }: v1::JacobianRequest,
-        mut send: impl AsyncFnMut(v1::JacobianResponse) -> bool,
+        sender: &mpsc::Sender<Answer<v1::JacobianResponse>>,
     ) -> Answer<()> {
         const MESSAGE: usize = 1 << 20;
         on_session(&session_id);
@@ -210,7 +234,7 @@ impl Meshes {
             for some in block.value.chunks((MESSAGE / bytes).max(1)) {
                 let message = convert::jacobian(first, columns, some, std::mem::take(&mut timing));
                 first += some.len();
-                if !send(message).await {
+                if sender.send(Ok(message)).await.is_err() {
                     return Ok(());
                 }
             }

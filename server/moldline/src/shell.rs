@@ -4,7 +4,8 @@ use std::{io::Write, net::SocketAddr, sync::Arc, time::Duration};
 
 use moldline_transport::{
     Access, Gauges, Health, Port, Served, Surroundings, TlsError, TlsFiles, acceptor, metrics_upkeep, router,
-    start_metrics, tokens::{TokenFile, TokenFileError},
+    start_metrics,
+    tokens::{TokenFile, TokenFileError},
 };
 use tokio::{runtime, sync::oneshot, time};
 
@@ -132,7 +133,9 @@ fn announce(address: SocketAddr, options: &Listen, access: &Access) -> Result<()
     tracing::info!(%address, docs = format!("{scheme}://{address}/docs"), "listening");
     if access.asks() {
         if !address.ip().is_loopback() && options.tls_cert.is_none() {
-            tracing::warn!("tokens travel in the clear: use --tls-cert and --tls-key, or a proxy with TLS before it");
+            tracing::warn!(
+                "tokens travel in the clear: use --tls-cert and --tls-key, or a proxy with TLS before it"
+            );
         }
     } else if address.ip().is_loopback() {
         tracing::warn!("no authentication: every user of this machine can use this server");

@@ -63,7 +63,8 @@ async fn show(options: &Status) -> Result<(), StatusError> {
         let mut request = Request::new(v1::GetStatusRequest {});
         if let Some(token) = &options.token {
             let bearer = format!("Bearer {token}").parse();
-            let bearer = bearer.map_err(|_| StatusError::Refused("the token has odd characters".to_owned()))?;
+            let bearer =
+                bearer.map_err(|_| StatusError::Refused("the token has odd characters".to_owned()))?;
             request.metadata_mut().insert("authorization", bearer);
         }
         let status = client.get_status(request).await;

@@ -36,7 +36,11 @@ pub fn bytes(bytes: u64) -> String {
         value /= 1024.0;
         unit += 1;
     }
-    if unit == 0 || value >= 100.0 { format!("{value:.0} {}", UNITS[unit]) } else { format!("{value:.1} {}", UNITS[unit]) }
+    if unit == 0 || value >= 100.0 {
+        format!("{value:.0} {}", UNITS[unit])
+    } else {
+        format!("{value:.1} {}", UNITS[unit])
+    }
 }
 
 /// A bar of `width` cells, `share` of it full.
@@ -52,8 +56,14 @@ mod tests {
     #[test]
     fn quantities_are_short() {
         let of = |seconds| duration(Duration::from_secs_f64(seconds));
-        assert_eq!([of(0.0666), of(12.34), of(75.0), of(7260.0), of(180_000.0)], ["66 ms", "12.3 s", "1 min 15 s", "2 h 1 min", "2 d 2 h"]);
-        assert_eq!([bytes(0), bytes(1023), bytes(1536), bytes(200 << 20), bytes(5 << 40)], ["0 B", "1023 B", "1.5 KiB", "200 MiB", "5.0 TiB"]);
+        assert_eq!(
+            [of(0.0666), of(12.34), of(75.0), of(7260.0), of(180_000.0)],
+            ["66 ms", "12.3 s", "1 min 15 s", "2 h 1 min", "2 d 2 h"]
+        );
+        assert_eq!(
+            [bytes(0), bytes(1023), bytes(1536), bytes(200 << 20), bytes(5 << 40)],
+            ["0 B", "1023 B", "1.5 KiB", "200 MiB", "5.0 TiB"]
+        );
         assert_eq!([bar(0.0, 4), bar(0.5, 4), bar(7.0, 4), bar(f64::NAN, 2)], ["░░░░", "██░░", "████", "░░"]);
     }
 

@@ -5,13 +5,13 @@ use std::{
     time::Instant,
 };
 
-use moldline_mesh::io::msh;
+use moldline_mesh::{Limits, io::msh};
 use moldline_panel::{
     Flow, Inputs, Monitor, Options, Outputs, PanelSetup, Reference, Scalars, Solver, Stage, TrailingEdges,
 };
 
 /// Prints how long each stage takes.
-struct Clock(Mutex<Option<(Stage, Instant)>>);
+struct Clock(Mutex<Option<(Stage, Times)>>);
 
 impl Clock {
     fn new() -> Self {
@@ -25,16 +25,34 @@ impl Monitor for Clock {
         match *last {
             Some((current, start)) if current == stage => {
                 if fraction >= 1.0 {
-                    println!("    {stage:<14} {:8.3} s", start.elapsed().as_secs_f64());
+                    println!("    {stage:<14} {}", start.since());
                     *last = None;
                 }
             }
-            _ => *last = Some((stage, Instant::now())),
+            _ => *last = Some((stage, Times::now())),
         }
     }
 
-    fn residual(&self, round: usize, residual: f64) {
-        println!("    round {round}: residual {residual:.2e}");
+}
+
+/// Seconds on the wall and of all threads' processor time since the start of the process: other programs disturb the second less.
+#[derive(Clone, Copy)]
+struct Times(Instant, f64);
+
+impl Times {
+    fn now() -> Self {
+        let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
+        let after_name = stat.rsplit(')').next().unwrap_or_default();
+        let ticks = |field: usize| -> f64 {
+            after_name.split_whitespace().nth(field).and_then(|x| x.parse().ok()).unwrap_or(f64::NAN)
+        };
+        Self(Instant::now(), (ticks(11) + ticks(12)) / 100.0)
+    }
+
+    fn since(self) -> String {
+        let now = Self::now();
+        let wall = (now.0 - self.0).as_secs_f64();
+        format!("{wall:7.2} s, processor {:7.2} s", now.1 - self.1)
     }
 }
 
@@ -47,17 +65,19 @@ fn peak() -> String {
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../examples/e175/mesh.msh");
-    let mesh = msh::read(&std::fs::read(path)?)?.mesh;
+    let mesh = msh::read(&std::fs::read(path)?, &Limits::default())?.mesh;
     let names = ["trailing_edge_wing", "trailing_edge_htail"].map(str::to_owned).to_vec();
     let reference = Reference { area: 68.2, chord: 3.42, span: 23.82, point: [14.0, 0.0, 0.5] };
     let flow = |degrees: f64| Flow { alpha: degrees.to_radians(), sideslip: 0.0, reference };
-    for solver in [Solver::Single, Solver::Iterative, Solver::Double] {
+        let all = [Solver::Single, Solver::Iterative, Solver::Double];
+    let chosen = std::env::args().nth(1).unwrap_or_default();
+    for solver in all.into_iter().filter(|s| format!("{s:?}").contains(chosen.trim_start_matches("--bench"))) {
         let options =
             Options { trailing_edges: TrailingEdges::Groups(names.clone()), solver, ..Options::default() };
         let setup = PanelSetup::new(&mesh, options)?;
         let summary = setup.summary();
         println!("{solver:?}: {} unknowns, {} MB", summary.unknowns, summary.memory >> 20);
-        let start = Instant::now();
+        let start = Times::now();
         let solution = Arc::new(setup.solve(&mesh.vertices, 0.7, &Clock::new())?);
         for degrees in [0.0, 3.0] {
             let a = solution.analyse(&flow(degrees))?;
@@ -66,7 +86,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                 println!("    {:<10} CL {:8.5} CD {:8.5} CM {:8.5}", c.name, c.lift, c.drag, c.moment[1]);
             }
         }
-        println!("  solution with forces {:.2} s", start.elapsed().as_secs_f64());
+        println!("  solution with forces {}", start.since());
         let linearisation = solution.linearise(&flow(3.0))?;
         let seed = |i: usize| {
             let mut values = [0.0; Scalars::COUNT];
@@ -74,15 +94,15 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             Outputs { scalars: Scalars::from_array(values), ..Outputs::default() }
         };
         for count in [1, 6] {
-            let start = Instant::now();
+            let start = Times::now();
             linearisation.vjp(&(0..count).map(seed).collect::<Vec<_>>(), &Clock::new())?;
-            println!("  {count} adjoints {:.2} s", start.elapsed().as_secs_f64());
+            println!("  {count} adjoints {}", start.since());
         }
         let direction = Inputs { vertices: mesh.vertices.clone(), ..Inputs::default() };
         for count in [1, 8] {
-            let start = Instant::now();
+            let start = Times::now();
             linearisation.jvp(&vec![direction.clone(); count], &Clock::new())?;
-            println!("  {count} directions {:.2} s", start.elapsed().as_secs_f64());
+            println!("  {count} directions {}", start.since());
         }
         println!("  {}", peak());
     }

@@ -60,6 +60,8 @@ impl Stencils {
                     if !over.is_empty() && (at_trailing_edge[panel as usize] || over.len() > 1) {
                         continue;
                     }
+                    // On the plane of symmetry the image has the same wake's border.
+                    let over = if across.is_some() { &over[..] } else { &[] };
                     let jump = over.first().map(|j| (j.strip, if left { -j.sign } else { j.sign }));
                     list.push(Neighbour {
                         panel: across.unwrap_or(panel),

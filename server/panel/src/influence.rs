@@ -26,7 +26,7 @@ use rayon::prelude::*;
 
 use crate::{
     Monitor, PanelError, Stage,
-    lanes::{LANES, Lane, argument, log_ratio, total},
+    lanes::{LANES, Lane, argument, dot_add, log_ratio, total},
     matrix::Matrix,
     surface::Surface,
     topology::Panels,
@@ -225,7 +225,7 @@ impl<'a, const B: usize> Influence<'a, B> {
         let right: [Vec<f64>; B] = std::array::from_fn(|k| {
             potentials.iter().flat_map(|p| p[k].iter().map(|x| x * BY_4_PI)).take(n).collect()
         });
-        let sums = matrix.times(&vec![1.0; n]);
+        let sums = matrix.times(&[vec![1.0; n]]).swap_remove(0);
         let finite = |i: &usize| sums[*i].is_finite() && right.iter().all(|b| b[*i].is_finite());
         match (0..n).find(|i| !finite(i)) {
             Some(panel) => Err(PanelError::Singular { cell: self.panels.cell_of[panel] }),
@@ -248,9 +248,9 @@ impl<'a, const B: usize> Influence<'a, B> {
             let [a, b] = edge.ends.map(|v| &radii[v as usize]);
             for l in 0..LANES {
                 let q = log_ratio(a[l] + b[l], edge.length);
-                let [x, y, z] = [0, 1, 2].map(|k| edge.a[k] - tile.0[k][l]);
+                let a = [0, 1, 2].map(|k| edge.a[k] - tile.0[k][l]);
                 for k in 0..B {
-                    potential[k][l] += q * (edge.t[k][0] * x + edge.t[k][1] * y + edge.t[k][2] * z);
+                    potential[k][l] = q.mul_add(dot_add(&edge.t[k], &a, 0.0), potential[k][l]);
                 }
             }
         }
@@ -258,10 +258,9 @@ impl<'a, const B: usize> Influence<'a, B> {
             let omega = solid_angle(panel, tile, radii);
             for l in 0..LANES {
                 row[l] += omega[l];
-                let [x, y, z] = [0, 1, 2].map(|k| panel.centre[k] - tile.0[k][l]);
+                let c = [0, 1, 2].map(|k| panel.centre[k] - tile.0[k][l]);
                 for k in 0..B {
-                    potential[k][l] -=
-                        omega[l] * (panel.s[k][0] * x + panel.s[k][1] * y + panel.s[k][2] * z);
+                    potential[k][l] = (-omega[l]).mul_add(dot_add(&panel.s[k], &c, 0.0), potential[k][l]);
                 }
             }
         }
@@ -272,8 +271,7 @@ impl<'a, const B: usize> Influence<'a, B> {
     fn radii(&self, tile: &Tile, radii: &mut [Lane]) {
         for (p, r) in self.surface.points.iter().zip(radii) {
             for l in 0..LANES {
-                let [x, y, z] = [0, 1, 2].map(|k| p[k] - tile.0[k][l]);
-                r[l] = (x * x + y * y + z * z).sqrt();
+                r[l] = norm(&[0, 1, 2].map(|k| p[k] - tile.0[k][l]));
             }
         }
     }
@@ -580,8 +578,8 @@ impl<'a, const B: usize> Influence<'a, B> {
                 let mut direct = [[0.0; LANES]; B];
                 for k in 0..B {
                     for l in 0..LANES {
-                        omega[l] += psi[k][l] * pairs.strength[k][l];
-                        q[l] -= psi[k][l] * pairs.t_a[k][l];
+                        omega[l] = psi[k][l].mul_add(pairs.strength[k][l], omega[l]);
+                        q[l] = (-psi[k][l]).mul_add(pairs.t_a[k][l], q[l]);
                         direct[k][l] = -psi[k][l] * pairs.q[l];
                     }
                 }
@@ -590,10 +588,10 @@ impl<'a, const B: usize> Influence<'a, B> {
                 for axis in 0..3 {
                     let (mut va, mut vb) = ([0.0; LANES], [0.0; LANES]);
                     for l in 0..LANES {
-                        va[l] = omega[l] * pairs.g_a[axis][l] + q[l] * pairs.q_a[axis][l];
-                        vb[l] = omega[l] * pairs.g_b[axis][l] + q[l] * pairs.q_b[axis][l];
+                        va[l] = omega[l].mul_add(pairs.g_a[axis][l], q[l] * pairs.q_a[axis][l]);
+                        vb[l] = omega[l].mul_add(pairs.g_b[axis][l], q[l] * pairs.q_b[axis][l]);
                         for k in 0..B {
-                            va[l] += direct[k][l] * edge.t[k][axis];
+                            va[l] = direct[k][l].mul_add(edge.t[k][axis], va[l]);
                         }
                         point[axis][l] -= va[l] + vb[l];
                     }
@@ -734,11 +732,6 @@ impl<'a, const B: usize> Influence<'a, B> {
         };
         Terms { edges, rays: self.wakes.rays.iter().map(ray).collect() }
     }
-
-    /// The sources' strength vectors for the onset flows.
-    pub fn sources(&self) -> &[Vec<Vector3>; B] {
-        &self.sources
-    }
 }
 
 /// `4 pi` times the strength of an edge as a filament: `constant - slope . P`.
@@ -818,9 +811,8 @@ impl<const B: usize> EdgePairs<B> {
             pairs.q_l[l] = 2.0 * sum * by_product;
             for k in 0..B {
                 let (t, slope) = (&edge.t[k], &term.slope[k]);
-                pairs.t_a[k][l] = t[0] * a[0] + t[1] * a[1] + t[2] * a[2];
-                pairs.strength[k][l] = term.constant[k]
-                    - (slope[0] * tile.0[0][l] + slope[1] * tile.0[1][l] + slope[2] * tile.0[2][l]);
+                pairs.t_a[k][l] = dot_add(t, &a, 0.0);
+                pairs.strength[k][l] = dot_add(slope, &[0, 1, 2].map(|k| -tile.0[k][l]), term.constant[k]);
             }
         }
         pairs
@@ -843,7 +835,7 @@ fn ray_pairs(point: &Vector3, tile: &Tile) -> [Lane; 3] {
 
 #[inline(always)]
 fn norm(a: &[f64; 3]) -> f64 {
-    (a[0] * a[0] + a[1] * a[1] + a[2] * a[2]).sqrt()
+    dot_add(a, a, 0.0).sqrt()
 }
 
 /// Real and imaginary part of a triangle's complex number, twice whose argument is its solid angle.
@@ -863,21 +855,20 @@ fn solid_angle<const B: usize>(panel: &PanelRecord<B>, tile: &Tile, radii: &[Lan
     let [one, two] = &panel.twice_areas;
     let mut omega = [0.0; LANES];
     for l in 0..LANES {
-        let [x, y, z] = [0, 1, 2].map(|k| panel.a[k] - tile.0[k][l]);
+        let to_a = [0, 1, 2].map(|k| panel.a[k] - tile.0[k][l]);
         let (a, b, c, d) = (ra[l], rb[l], rc[l], rd[l]);
         // 2 (|p||q| + p.q) of the sides and of the diagonal.
-        let twice = |p: f64, q: f64, square: f64| (p + q) * (p + q) - square;
+        let twice = |p: f64, q: f64, square: f64| (p + q).mul_add(p + q, -square);
         let (ab, bc) = (twice(a, b, panel.squares[0]), twice(b, c, panel.squares[1]));
         let (cd, da) = (twice(c, d, panel.squares[2]), twice(d, a, panel.squares[3]));
         let ac = twice(a, c, panel.squares[4]);
         let real = [
-            0.5 * (ab * c + ac * b + bc * a) - 2.0 * a * b * c,
-            0.5 * (ac * d + da * c + cd * a) - 2.0 * a * c * d,
+            0.5 * ab.mul_add(c, ac.mul_add(b, (bc - 4.0 * b * c) * a)),
+            0.5 * ac.mul_add(d, da.mul_add(c, (cd - 4.0 * c * d) * a)),
         ];
-        let imaginary =
-            [one[0] * x + one[1] * y + one[2] * z, two[0] * x + two[1] * y + two[2] * z];
-        let re = real[0] * real[1] - imaginary[0] * imaginary[1];
-        let im = real[0] * imaginary[1] + real[1] * imaginary[0];
+        let imaginary = [dot_add(one, &to_a, 0.0), dot_add(two, &to_a, 0.0)];
+        let re = real[0].mul_add(real[1], -(imaginary[0] * imaginary[1]));
+        let im = real[0].mul_add(imaginary[1], real[1] * imaginary[0]);
         omega[l] = 2.0 * argument(im, re);
     }
     omega

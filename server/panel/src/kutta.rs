@@ -6,13 +6,11 @@ use moldline_mesh::Vector3;
 use crate::{
     gradient::Gradients,
     surface::{Surface, SurfaceChange},
-    topology::Panels,
     wake::Wakes,
 };
 
 /// What the circulation of the strips depends on.
 pub(crate) struct Kutta<'a> {
-    pub panels: &'a Panels,
     pub surface: &'a Surface,
     pub wakes: &'a Wakes,
     pub gradients: &'a Gradients<'a>,

@@ -174,7 +174,7 @@ impl Linearisation {
         let setup = &*self.solution.setup;
         let (panels, surface) = (&setup.panels, &state.surface);
         let gradients = Gradients::new(panels, surface, &setup.stencils)?;
-        let kutta = Kutta { panels, surface, wakes: &setup.wakes, gradients: &gradients };
+        let kutta = Kutta { surface, wakes: &setup.wakes, gradients: &gradients };
         let influence = Influence::<B>::new(panels, &setup.wakes, surface);
         let still = vec![0.0; panels.len()];
         let strips = setup.wakes.strips.len();
@@ -287,7 +287,7 @@ impl Linearisation {
         let setup = &*self.solution.setup;
         let (panels, surface) = (&setup.panels, &state.surface);
         let gradients = Gradients::new(panels, surface, &setup.stencils)?;
-        let kutta = Kutta { panels, surface, wakes: &setup.wakes, gradients: &gradients };
+        let kutta = Kutta { surface, wakes: &setup.wakes, gradients: &gradients };
         let influence = Influence::<B>::new(panels, &setup.wakes, surface);
 
         // From the outputs to mu.

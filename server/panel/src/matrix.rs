@@ -1,12 +1,13 @@
 //! The dense matrix, stored as it is made: tiles of rows, and within a tile column after column.
 
 use faer::{Mat, traits::RealField};
+use pulp::Arch;
 use rayon::prelude::*;
 
 use crate::lanes::{LANES, Lane};
 
 /// Columns that one task handles.
-const COLUMNS: usize = 64;
+const COLUMNS: usize = 32;
 
 /// A square matrix.
 #[derive(Clone, Debug)]
@@ -39,48 +40,64 @@ impl Matrix {
         self.lanes[row / LANES * self.size + column][row % LANES]
     }
 
-    /// `A x`.
-    pub fn times(&self, x: &[f64]) -> Vec<f64> {
-        let tiles: Vec<Lane> = self
+    /// `A x` for several x.
+    pub fn times(&self, columns: &[Vec<f64>]) -> Vec<Vec<f64>> {
+        let arch = Arch::new();
+        let tiles: Vec<Vec<Lane>> = self
             .lanes
             .par_chunks(self.size.max(1))
             .map(|tile| {
-                // Four sums at a time: one would wait for its additions.
-                let mut sums = [[0.0; LANES]; 4];
-                for (columns, x) in tile.chunks(4).zip(x.chunks(4)) {
-                    for (sum, (column, x)) in sums.iter_mut().zip(columns.iter().zip(x)) {
-                        for l in 0..LANES {
-                            sum[l] += column[l] * x;
+                // A piece of the tile serves all columns while it is near.
+                let mut sums = vec![[[0.0; LANES]; 2]; columns.len()];
+                arch.dispatch(
+                    #[inline(always)]
+                    || {
+                        for (piece, entries) in tile.chunks(COLUMNS).enumerate() {
+                            for (x, sums) in columns.iter().zip(&mut sums) {
+                                row_piece(entries, &x[piece * COLUMNS..], sums);
+                            }
                         }
-                    }
-                }
-                std::array::from_fn(|l| (sums[0][l] + sums[1][l]) + (sums[2][l] + sums[3][l]))
+                    },
+                );
+                sums.iter().map(|[a, b]| std::array::from_fn(|l| a[l] + b[l])).collect()
             })
             .collect();
-        tiles.into_iter().flatten().take(self.size).collect()
+        let column = |c: usize| tiles.iter().flat_map(|tile| tile[c]).take(self.size).collect();
+        (0..columns.len()).map(column).collect()
     }
 
-    /// `A^T x`.
-    pub fn transposed_times(&self, x: &[f64]) -> Vec<f64> {
-        let mut padded = x.to_vec();
-        padded.resize(self.size.div_ceil(LANES) * LANES, 0.0);
-        let x = padded.as_chunks::<LANES>().0;
-        let mut out = vec![0.0; self.size];
-        out.par_chunks_mut(COLUMNS).enumerate().for_each(|(chunk, out)| {
-            let mut sums = [[0.0; LANES]; COLUMNS];
-            let first = chunk * COLUMNS;
-            for (tile, x) in self.lanes.chunks(self.size.max(1)).zip(x) {
-                for (sum, column) in sums.iter_mut().zip(&tile[first..first + out.len()]) {
-                    for l in 0..LANES {
-                        sum[l] += column[l] * x[l];
-                    }
-                }
-            }
-            for (out, sum) in out.iter_mut().zip(&sums) {
-                *out = crate::lanes::total(sum);
-            }
-        });
-        out
+    /// `A^T x` for several x.
+    pub fn transposed_times(&self, columns: &[Vec<f64>]) -> Vec<Vec<f64>> {
+        let padded: Vec<Vec<f64>> = columns
+            .iter()
+            .map(|x| {
+                let mut padded = x.clone();
+                padded.resize(self.size.div_ceil(LANES) * LANES, 0.0);
+                padded
+            })
+            .collect();
+        let arch = Arch::new();
+        let chunks: Vec<Vec<[f64; COLUMNS]>> = (0..self.size.div_ceil(COLUMNS))
+            .into_par_iter()
+            .map(|chunk| {
+                let first = chunk * COLUMNS;
+                let last = (first + COLUMNS).min(self.size);
+                let mut sums = vec![[[0.0; LANES]; COLUMNS]; columns.len()];
+                arch.dispatch(
+                    #[inline(always)]
+                    || {
+                        for (index, tile) in self.lanes.chunks(self.size.max(1)).enumerate() {
+                            for (sums, x) in sums.iter_mut().zip(&padded) {
+                                column_piece(&tile[first..last], &x.as_chunks::<LANES>().0[index], sums);
+                            }
+                        }
+                    },
+                );
+                sums.iter().map(|sums| sums.each_ref().map(crate::lanes::total)).collect()
+            })
+            .collect();
+        let column = |c: usize| chunks.iter().flat_map(|chunk| chunk[c]).take(self.size).collect();
+        (0..columns.len()).map(column).collect()
     }
 
     /// A copy for factorisation.
@@ -98,5 +115,27 @@ impl Matrix {
             }
         });
         dense
+    }
+}
+
+/// Adds entries times x; two sums at a time, since one would wait for its additions.
+#[inline(always)]
+fn row_piece(entries: &[Lane], x: &[f64], sums: &mut [Lane; 2]) {
+    for (entries, x) in entries.chunks(2).zip(x.chunks(2)) {
+        for (sum, (entry, x)) in sums.iter_mut().zip(entries.iter().zip(x)) {
+            for l in 0..LANES {
+                sum[l] = entry[l].mul_add(*x, sum[l]);
+            }
+        }
+    }
+}
+
+/// Adds the products of every column's entries with x, lane by lane.
+#[inline(always)]
+fn column_piece(entries: &[Lane], x: &Lane, sums: &mut [Lane; COLUMNS]) {
+    for (sum, entry) in sums.iter_mut().zip(entries) {
+        for l in 0..LANES {
+            sum[l] = entry[l].mul_add(x[l], sum[l]);
+        }
     }
 }

@@ -307,7 +307,7 @@ impl<const B: usize> State<B> {
         let panels = &setup.panels;
         let surface = Surface::new(panels, points, mach)?;
         let gradients = Gradients::new(panels, &surface, &setup.stencils)?;
-        let rows = Kutta { panels, surface: &surface, wakes: &setup.wakes, gradients: &gradients }.rows();
+        let rows = Kutta { surface: &surface, wakes: &setup.wakes, gradients: &gradients }.rows();
         let influence = Influence::<B>::new(panels, &setup.wakes, &surface);
         let (matrix, right) = influence.assemble(&rows, monitor)?;
         let system = System::new(matrix, setup.options.solver, &surface.centres, monitor)?;

@@ -106,8 +106,8 @@ impl System {
         }
     }
 
-    fn times(&self, x: &[f64], transposed: bool) -> Vec<f64> {
-        if transposed { self.matrix.transposed_times(x) } else { self.matrix.times(x) }
+    fn times(&self, columns: &[Vec<f64>], transposed: bool) -> Vec<Vec<f64>> {
+        if transposed { self.matrix.transposed_times(columns) } else { self.matrix.times(columns) }
     }
 
     fn refine(
@@ -141,12 +141,12 @@ impl System {
             }
             least = residual;
             let corrections = self.factor.solve(&residuals, transposed);
-            for (k, (x, dx)) in columns.iter_mut().zip(corrections).enumerate() {
+            for (x, dx) in columns.iter_mut().zip(corrections) {
                 x.iter_mut().zip(dx).for_each(|(x, dx)| *x += dx);
-                let product = self.times(x, transposed);
-                for ((r, b), p) in residuals[k].iter_mut().zip(&right[k]).zip(product) {
-                    *r = b - p;
-                }
+            }
+            let products = self.times(&columns, transposed);
+            for ((r, b), p) in residuals.iter_mut().zip(right).zip(products) {
+                r.iter_mut().zip(b.iter().zip(p)).for_each(|(r, (b, p))| *r = b - p);
             }
         }
         unreachable!("the last round returns")
@@ -173,7 +173,7 @@ impl System {
                 let aim = 0.3 * tolerance * size;
                 let dx = self.cycle(blocks, &r, transposed, aim, &mut iterations, monitor)?;
                 x.iter_mut().zip(dx).for_each(|(x, dx)| *x += dx);
-                let product = self.times(&x, transposed);
+                let product = self.times(std::slice::from_ref(&x), transposed).swap_remove(0);
                 r.iter_mut().zip(b.iter().zip(product)).for_each(|(r, (b, p))| *r = b - p);
                 let before = residual;
                 residual = largest(&r) / size;
@@ -208,7 +208,8 @@ impl System {
             if monitor.cancelled() {
                 return Err(PanelError::Cancelled);
             }
-            let mut v = self.times(&blocks.solve(&basis[basis.len() - 1], transposed), transposed);
+            let z = blocks.solve(&basis[basis.len() - 1], transposed);
+            let mut v = self.times(&[z], transposed).swap_remove(0);
             let mut column = Vec::with_capacity(basis.len() + 1);
             // Gram-Schmidt twice: orthogonal to rounding.
             for pass in 0..2 {

@@ -18,6 +18,8 @@ const NAMED: f64 = 30.0;
 const GROUPED: f64 = 60.0;
 /// How an edge at a trailing edge's end points if the body goes on downstream: cosine of its angle to the x axis.
 const DOWNSTREAM: f64 = 0.5;
+/// What counts as touching, as a fraction of a length.
+const TOUCH: f64 = 1e-9;
 
 /// A corner of a wake: `x` of one point (not ahead of the other), `y` and `z` of another.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -181,8 +183,44 @@ impl Wakes {
 }
 
 impl Wakes {
-    /// That no strip passes through a cell.
-    pub fn check(&self, _panels: &Panels, _points: &[Vector3]) -> Result<(), PanelError> {
+    /// That no strip passes through a cell: seen along x, no edge of a cell downstream crosses the trailing edge. The sheets
+    /// beside a body are not asked: they begin on it.
+    pub fn check(&self, panels: &Panels, points: &[Vector3]) -> Result<(), PanelError> {
+        for strip in &self.strips {
+            for piece in &strip.pieces {
+                let Piece::Strip([p, q]) = piece else { continue };
+                let own = [p.x, q.x, p.yz, q.yz];
+                let (p, q) = (p.position(points), q.position(points));
+                let along = q - p;
+                let size = along.norm();
+                for e in &panels.edges {
+                    if own.contains(&e.a) || own.contains(&e.b) {
+                        continue;
+                    }
+                    let (a, b) = (&points[e.a as usize], &points[e.b as usize]);
+                    if a.x.max(b.x) <= p.x.min(q.x) {
+                        continue;
+                    }
+                    // p + s along = a + t side in y and z.
+                    let (side, way) = (b - a, a - p);
+                    let determinant = along.y * side.z - along.z * side.y;
+                    if determinant.abs() <= TOUCH * size * side.norm() {
+                        continue;
+                    }
+                    let s = (way.y * side.z - way.z * side.y) / determinant;
+                    let t = (way.y * along.z - way.z * along.y) / determinant;
+                    let inside = (TOUCH..=1.0 - TOUCH).contains(&s) && (-TOUCH..=1.0 + TOUCH).contains(&t);
+                    let x = a.x + t * side.x;
+                    if inside && x > p.x + s * along.x + TOUCH * size {
+                        return Err(PanelError::WakeCutsBody {
+                            edge: [panels.vertex_of[strip.a as usize], panels.vertex_of[strip.b as usize]],
+                            cell: panels.cell_of[e.left as usize],
+                            x,
+                        });
+                    }
+                }
+            }
+        }
         Ok(())
     }
 }

@@ -40,13 +40,15 @@ pub use moldline_setup::ArchiveKind;
 pub use access::{Access, Listed, Page, Session, SessionUpdate, SetupSummary, Visibility};
 pub use cancel::Cancellation;
 pub use error::{Code, ServiceError, Violation};
+pub use flight::{Flights, Follower, Joined, Reports};
 pub use limits::Limits;
 pub use linearisation::{
     ControlPointVectors, Design, Directions, Gradients, Linearised, Seeds, Values, Wanted,
 };
-pub use pool::PoolLimits;
+pub use pool::{Completed, ComputePool, PoolLimits};
 pub use principal::{Principal, Role, Tenant, TenantError};
 pub use progress::{Progress, Reporter};
+pub use refusal::mesh_field;
 pub use service::{At, Created, Product, Receiving, Service, SetupView, Timing};
 pub use setups::{SetupId, StoredSetup};
 pub use status::{CacheStatus, Status, Work};

@@ -50,9 +50,9 @@ impl Access {
         let Some(authorization) = headers.get(header::AUTHORIZATION) else {
             return match (certified, &self.tokens) {
                 (Some(Certified(principal)), _) => Ok(principal.clone()),
-                (None, Some(_)) => {
-                    refused("no credential came: send `authorization: Bearer TOKEN` with a token of `moldline token create`")
-                }
+                (None, Some(_)) => refused(
+                    "no credential came: send `authorization: Bearer TOKEN` with a token of `moldline token create`",
+                ),
                 (None, None) => refused("no client certificate came"),
             };
         };

@@ -5,12 +5,7 @@
 
 use std::time::Duration;
 
-use axum::{
-    extract::Request,
-    http::HeaderMap,
-    middleware::Next,
-    response::Response,
-};
+use axum::{extract::Request, http::HeaderMap, middleware::Next, response::Response};
 use moldline_service::{Code, ServiceError};
 use tokio::time::{Instant, timeout_at};
 

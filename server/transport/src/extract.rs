@@ -17,9 +17,9 @@ impl<T: DeserializeOwned, S: Sync> FromRequestParts<S> for Query<T> {
 
     async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, Refusal> {
         let query = axum::extract::Query::try_from_uri(&parts.uri);
-        query.map(|axum::extract::Query(query)| Self(query)).map_err(|error| {
-            ServiceError::invalid("query", error.body_text()).into()
-        })
+        query
+            .map(|axum::extract::Query(query)| Self(query))
+            .map_err(|error| ServiceError::invalid("query", error.body_text()).into())
     }
 }
 

@@ -20,7 +20,8 @@ impl Health {
     /// Ready, and all of `services` serving; with the gRPC service that says so.
     pub async fn new(
         services: &[&'static str],
-    ) -> (Self, tonic_health::pb::health_server::HealthServer<impl tonic_health::pb::health_server::Health>) {
+    ) -> (Self, tonic_health::pb::health_server::HealthServer<impl tonic_health::pb::health_server::Health>)
+    {
         let (reporter, service) = tonic_health::server::health_reporter();
         let health = Self { ready: Arc::new(AtomicBool::new(true)), reporter, services: services.into() };
         health.tell(ServingStatus::Serving).await;

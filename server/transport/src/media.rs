@@ -7,7 +7,12 @@
 //! | `application/octet-stream` | the same without its header; `shape` in the query | the same; `Moldline-Shape` |
 //! | `application/x-npz` | all arrays by name; the rest in the query | all arrays by name, and `info.json` |
 
-use std::{fmt, time::Duration};
+use std::{
+    fmt,
+    pin::Pin,
+    task::{Context, Poll},
+    time::Duration,
+};
 
 use axum::{
     body::{Body, Bytes},
@@ -18,7 +23,8 @@ use http_body::Body as _;
 use moldline_proto::v1::{Array, DataType};
 use moldline_service::{Code, ServiceError};
 use serde::{Deserialize, Serialize, de};
-use tokio::time::timeout;
+use tokio::time::{Instant, Sleep};
+use tokio_stream::{Stream, StreamExt};
 
 use crate::{
     npy,
@@ -76,11 +82,14 @@ impl Media {
         let mut best: Option<(f32, Self)> = None;
         let mut asked = false;
         let values = headers.get_all(header::ACCEPT).iter().filter_map(|value| value.to_str().ok());
-        for range in values.flat_map(|value| value.split(',')).map(str::trim).filter(|range| !range.is_empty()) {
+        for range in
+            values.flat_map(|value| value.split(',')).map(str::trim).filter(|range| !range.is_empty())
+        {
             asked = true;
             let mut parts = range.split(';').map(str::trim);
             let name = parts.next().unwrap_or_default();
-            let quality = parts.find_map(|part| part.strip_prefix("q=")).map_or(1.0, |q| q.parse().unwrap_or(0.0));
+            let quality =
+                parts.find_map(|part| part.strip_prefix("q=")).map_or(1.0, |q| q.parse().unwrap_or(0.0));
             let media = match name.split_once('/') {
                 Some(("*", "*")) => offered.first().copied(),
                 Some((kind, "*")) => {
@@ -147,27 +156,47 @@ fn too_large(limit: u64) -> Refusal {
     Refusal::with(StatusCode::PAYLOAD_TOO_LARGE, error)
 }
 
-/// The next bytes of a body; `None` at its end.
-///
-/// # Errors
-/// If the client goes away or falls silent.
-pub async fn next(body: &mut Body) -> Answer<Option<Bytes>> {
-    loop {
-        let frame = std::future::poll_fn(|context| std::pin::Pin::new(&mut *body).poll_frame(context));
-        match timeout(STALLED, frame).await {
-            Ok(None) => return Ok(None),
-            Ok(Some(Ok(frame))) => {
-                if let Ok(data) = frame.into_data() {
-                    return Ok(Some(data));
+/// A body, piece by piece.
+pub struct Chunks {
+    body: Body,
+    rest: Bytes,
+    most: usize,
+    silence: Pin<Box<Sleep>>,
+}
+
+impl Chunks {
+    /// Of `most` bytes at most.
+    pub fn new(body: Body, most: usize) -> Self {
+        Self { body, rest: Bytes::new(), most, silence: Box::pin(tokio::time::sleep(STALLED)) }
+    }
+}
+
+/// Fails if the client goes away or falls silent.
+impl Stream for Chunks {
+    type Item = Answer<Bytes>;
+
+    fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Answer<Bytes>>> {
+        loop {
+            if !self.rest.is_empty() {
+                let length = self.rest.len().min(self.most);
+                return Poll::Ready(Some(Ok(self.rest.split_to(length))));
+            }
+            match Pin::new(&mut self.body).poll_frame(context) {
+                Poll::Ready(None) => return Poll::Ready(None),
+                Poll::Ready(Some(Ok(frame))) => {
+                    self.silence.as_mut().reset(Instant::now() + STALLED);
+                    self.rest = frame.into_data().unwrap_or_default();
                 }
-            }
-            Ok(Some(Err(error))) => {
-                return Err(ServiceError::new(Code::Cancelled, format!("the body was cut off: {error}")).into());
-            }
-            Err(_) => {
-                let message = format!("no byte of the body came for {} s", STALLED.as_secs());
-                let error = ServiceError::new(Code::DeadlineExceeded, message);
-                return Err(Refusal::with(StatusCode::REQUEST_TIMEOUT, error));
+                Poll::Ready(Some(Err(error))) => {
+                    let error = ServiceError::new(Code::Cancelled, format!("the body was cut off: {error}"));
+                    return Poll::Ready(Some(Err(error.into())));
+                }
+                Poll::Pending if self.silence.as_mut().poll(context).is_pending() => return Poll::Pending,
+                Poll::Pending => {
+                    let message = format!("no byte of the body came for {} s", STALLED.as_secs());
+                    let error = ServiceError::new(Code::DeadlineExceeded, message);
+                    return Poll::Ready(Some(Err(Refusal::with(StatusCode::REQUEST_TIMEOUT, error))));
+                }
             }
         }
     }
@@ -177,20 +206,21 @@ pub async fn next(body: &mut Body) -> Answer<Option<Bytes>> {
 ///
 /// # Errors
 /// 413 beyond the limit.
-pub async fn read(headers: &HeaderMap, mut body: Body, limit: usize) -> Answer<Bytes> {
+pub async fn read(headers: &HeaderMap, body: Body, limit: usize) -> Answer<Bytes> {
     length(headers, limit as u64)?;
-    let Some(first) = next(&mut body).await? else { return Ok(Bytes::new()) };
-    if body.is_end_stream() && first.len() <= limit {
-        return Ok(first);
-    }
-    let mut whole = first.to_vec();
-    while let Some(data) = next(&mut body).await? {
-        whole.extend_from_slice(&data);
-        if whole.len() > limit {
-            break;
+    let mut chunks = Chunks::new(body, usize::MAX);
+    let Some(first) = chunks.next().await.transpose()? else { return Ok(Bytes::new()) };
+    let Some(second) = chunks.next().await.transpose()? else {
+        return if first.len() > limit { Err(too_large(limit as u64)) } else { Ok(first) };
+    };
+    let mut whole = [first, second].concat();
+    while whole.len() <= limit {
+        match chunks.next().await.transpose()? {
+            Some(data) => whole.extend_from_slice(&data),
+            None => return Ok(whole.into()),
         }
     }
-    if whole.len() > limit { Err(too_large(limit as u64)) } else { Ok(whole.into()) }
+    Err(too_large(limit as u64))
 }
 
 /// Reads a JSON document; the path of what does not fit is named. An empty body is an empty document.
@@ -239,27 +269,27 @@ pub fn arrays(
     Ok(vec![(main.to_owned(), Array { dtype: DataType::Float64.into(), shape, data: body })])
 }
 
-/// An answer with arrays.
-pub trait Reply: Serialize {
-    /// Takes the arrays out of it, each with its name; the main one is the first.
-    fn take_arrays(&mut self) -> Vec<(String, Array)>;
-
-    /// What belongs into headers where only the main array travels.
-    fn headers(&self) -> Vec<(&'static str, String)>;
-}
-
-/// `reply` as a document, as its main array, or as all of them.
+/// An answer as a document, as its main array, or as all of them. `take` takes the arrays out of it, each with its name, the
+/// main one first; `headers` are for where only that one travels.
 ///
 /// # Errors
 /// If there is no array to send.
-pub fn reply<R: Reply>(media: Media, mut reply: R) -> Answer<Response> {
+pub fn reply<R: Serialize>(
+    media: Media,
+    mut reply: R,
+    take: impl FnOnce(&mut R) -> Vec<(String, Array)>,
+    headers: &[(&'static str, String)],
+) -> Answer<Response> {
     if media == Media::Json {
         return document(StatusCode::OK, &reply);
     }
-    let headers = reply.headers();
-    let mut arrays = reply.take_arrays();
+    let mut arrays = take(&mut reply);
     if arrays.is_empty() {
-        return Err(ServiceError::invalid("accept", "there is no array to answer with; ask for application/json").into());
+        return Err(ServiceError::invalid(
+            "accept",
+            "there is no array to answer with; ask for application/json",
+        )
+        .into());
     }
     let mut response = match media {
         Media::Npz => Response::new(Body::from(npy::write_npz(&arrays, &text(&reply)?)?)),
@@ -271,7 +301,7 @@ pub fn reply<R: Reply>(media: Media, mut reply: R) -> Answer<Response> {
     let fields = response.headers_mut();
     fields.insert(header::CONTENT_TYPE, HeaderValue::from_static(media.name()));
     for (name, value) in headers {
-        if let Ok(value) = HeaderValue::from_str(&value) {
+        if let Ok(value) = HeaderValue::from_str(value) {
             fields.insert(HeaderName::from_static(name), value);
         }
     }
@@ -336,7 +366,10 @@ const DEPTH: usize = 8;
 impl<'de> Deserialize<'de> for Numbers {
     fn deserialize<D: de::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         let (mut data, mut shape) = (Vec::new(), Vec::new());
-        de::DeserializeSeed::deserialize(Level { depth: 0, data: &mut data, shape: &mut shape }, deserializer)?;
+        de::DeserializeSeed::deserialize(
+            Level { depth: 0, data: &mut data, shape: &mut shape },
+            deserializer,
+        )?;
         Ok(Self(Array { dtype: DataType::Float64.into(), shape, data: data.into() }))
     }
 }
@@ -408,7 +441,9 @@ impl<'de> de::Visitor<'de> for Level<'_> {
             shape[depth] = extent;
         } else if shape[depth] != extent {
             let expected = shape[depth];
-            return Err(de::Error::custom(format!("a list of {extent}, expected {expected} as in those before it")));
+            return Err(de::Error::custom(format!(
+                "a list of {extent}, expected {expected} as in those before it"
+            )));
         }
         Ok(())
     }
@@ -425,6 +460,19 @@ impl utoipa::ToSchema for Numbers {
         Array::name()
     }
 }
+
+/// Describes a body that is no text.
+pub struct Binary;
+
+impl utoipa::PartialSchema for Binary {
+    fn schema() -> utoipa::openapi::RefOr<utoipa::openapi::schema::Schema> {
+        use utoipa::openapi::schema::{KnownFormat, ObjectBuilder, SchemaFormat, Type};
+        let format = SchemaFormat::KnownFormat(KnownFormat::Binary);
+        ObjectBuilder::new().schema_type(Type::String).format(Some(format)).build().into()
+    }
+}
+
+impl utoipa::ToSchema for Binary {}
 
 #[cfg(test)]
 mod tests {
@@ -448,7 +496,9 @@ mod tests {
             assert_eq!(array.data.len() as u64, 8 * shape.iter().product::<u64>(), "{text}");
         }
         assert_eq!(numbers("[[1,2],[3,4]]").unwrap().0.data[24..], 4.0_f64.to_le_bytes());
-        for text in ["1", "[[1],[2,3]]", "[1,[2]]", "[[1],2]", "[null]", "[\"a\"]", "{}", "[[],1]", "[[1,2],[]]"] {
+        for text in
+            ["1", "[[1],[2,3]]", "[1,[2]]", "[[1],2]", "[null]", "[\"a\"]", "{}", "[[],1]", "[[1,2],[]]"]
+        {
             assert!(numbers(text).is_err(), "{text}");
         }
         assert!(numbers(&"[".repeat(100)).is_err());

@@ -46,7 +46,8 @@ pub fn header(dtype: DataType, shape: &[u64]) -> Vec<u8> {
 /// # Errors
 /// `InvalidArgument` for `field`: not such a file, another type or order, or more or fewer elements than the shape says.
 pub fn read(field: &str, file: &Bytes) -> Result<Array, ServiceError> {
-    let wrong = |what: &str| ServiceError::invalid(field, format!("is not a .npy file that can be read: {what}"));
+    let wrong =
+        |what: &str| ServiceError::invalid(field, format!("is not a .npy file that can be read: {what}"));
     let rest = file.strip_prefix(MAGIC).ok_or_else(|| wrong("it does not begin with \\x93NUMPY"))?;
     let (length, start) = match *rest {
         [1, _, a, b, ..] => (usize::from(u16::from_le_bytes([a, b])), 10),
@@ -233,11 +234,13 @@ mod tests {
     #[test]
     fn headers_are_those_that_numpy_writes() {
         // From numpy.lib.format.header_data_from_array_1_0 and write_array_header_1_0 of numpy 2.
-        let mut expected = b"\x93NUMPY\x01\x00v\x00{'descr': '<f8', 'fortran_order': False, 'shape': (3,), }".to_vec();
+        let mut expected =
+            b"\x93NUMPY\x01\x00v\x00{'descr': '<f8', 'fortran_order': False, 'shape': (3,), }".to_vec();
         expected.resize(127, b' ');
         expected.push(b'\n');
         assert_eq!(header(DataType::Float64, &[3]), expected);
-        let text = |shape: &[u64]| String::from_utf8_lossy(&header(DataType::Uint8, shape)[10..]).trim().to_owned();
+        let text =
+            |shape: &[u64]| String::from_utf8_lossy(&header(DataType::Uint8, shape)[10..]).trim().to_owned();
         assert_eq!(text(&[]), "{'descr': '|u1', 'fortran_order': False, 'shape': (), }");
         assert_eq!(text(&[2, 3]), "{'descr': '|u1', 'fortran_order': False, 'shape': (2, 3), }");
     }
@@ -249,7 +252,8 @@ mod tests {
             let bytes = [header(DataType::Float64, shape), array.data.to_vec()].concat();
             assert_eq!(read("x", &bytes.into()).unwrap(), array);
         }
-        let arrays = vec![("a".to_owned(), numbers(&[2, 3])), ("control_points.wing".to_owned(), numbers(&[4]))];
+        let arrays =
+            vec![("a".to_owned(), numbers(&[2, 3])), ("control_points.wing".to_owned(), numbers(&[4]))];
         let packed = Bytes::from(write_npz(&arrays, "{}").unwrap());
         // What is not an array is for people, and not taken back.
         let error = read_npz(packed.clone(), 1 << 20).unwrap_err();
@@ -268,7 +272,9 @@ mod tests {
         let data = [0_u8; 16];
         let good = "{'descr': '<f8', 'fortran_order': False, 'shape': (2,)}";
         assert!(read("x", &file(good, &data)).is_ok());
-        assert!(read("x", &file("{\"shape\":(2L,),\"fortran_order\":False,\"descr\":\"<f8\"}", &data)).is_ok());
+        assert!(
+            read("x", &file("{\"shape\":(2L,),\"fortran_order\":False,\"descr\":\"<f8\"}", &data)).is_ok()
+        );
         assert_eq!(field(file(&good.replace("<f8", ">f8"), &data)), "x.dtype");
         assert_eq!(field(file(&good.replace("<f8", "<f4"), &data)), "x.dtype");
         for header in [

@@ -65,7 +65,8 @@ pub async fn layer(State(trace): State<Trace>, mut request: Request, next: Next)
     let in_flight = InFlight::new(transport);
     request.headers_mut().insert(REQUEST_ID, id.clone());
     let quiet = quiet(request.uri().path());
-    let mut watch = Watch { start, span, transport, quiet, rpc: "unknown".to_owned(), code: None, _in_flight: in_flight };
+    let mut watch =
+        Watch { start, span, transport, quiet, rpc: "unknown".to_owned(), code: None, _in_flight: in_flight };
     let mut response = next.run(request).instrument(watch.span.clone()).await;
     response.headers_mut().insert(REQUEST_ID, id);
     let status = response.status();
@@ -146,7 +147,8 @@ impl Watch {
     fn end(&self, code: &'static str) {
         let seconds = self.start.elapsed().as_secs_f64();
         let (rpc, transport) = (self.rpc.clone(), self.transport);
-        counter!(names::REQUESTS, "rpc" => rpc.clone(), "transport" => transport, "code" => code).increment(1);
+        counter!(names::REQUESTS, "rpc" => rpc.clone(), "transport" => transport, "code" => code)
+            .increment(1);
         histogram!(names::SECONDS, "rpc" => rpc.clone(), "transport" => transport).record(seconds);
         self.span.record("otel.name", &rpc).record("rpc", &rpc);
         if matches!(code, "INTERNAL" | "UNKNOWN" | "DATA_LOSS") {

@@ -156,7 +156,8 @@ mod tests {
     use crate::code::grpc_name;
 
     fn error() -> ServiceError {
-        ServiceError::invalid("design[3]", "design[3] = NaN is not finite").retry_after(Duration::from_millis(1500))
+        ServiceError::invalid("design[3]", "design[3] = NaN is not finite")
+            .retry_after(Duration::from_millis(1500))
     }
 
     #[test]
@@ -192,7 +193,9 @@ mod tests {
 
     #[test]
     fn codes_have_the_same_name_everywhere() {
-        for code in [Code::Aborted, Code::Unavailable, Code::PermissionDenied, Code::DeadlineExceeded, Code::Internal] {
+        for code in
+            [Code::Aborted, Code::Unavailable, Code::PermissionDenied, Code::DeadlineExceeded, Code::Internal]
+        {
             assert_eq!(grpc_name(codes(code).0), code.name());
         }
         let unauthenticated = refuse(false, ServiceError::new(Code::Unauthenticated, "who?"));

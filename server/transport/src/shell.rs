@@ -72,13 +72,12 @@ pub fn router(served: Served, surroundings: Surroundings) -> Router {
         ([(header::CONTENT_TYPE, "text/plain; version=0.0.4")], metrics.render())
     };
     let ask = middleware::from_fn_with_state(access, access::layer);
-    let administrators = Router::new()
-        .route("/metrics", get(scrape))
-        .route_layer(middleware::from_fn(access::administrators));
+    let administrators =
+        Router::new().route("/metrics", get(scrape)).route_layer(middleware::from_fn(access::administrators));
     let http = http
-        .route_layer(middleware::from_fn_with_state(operations, name_http))
         .merge(administrators)
-        .route_layer(ask.clone());
+        .route_layer(ask.clone())
+        .route_layer(middleware::from_fn_with_state(operations, name_http));
     let grpc = only_routes(served.grpc).route_layer(ask).merge(only_routes(served.open));
     let grpc = grpc.layer(GrpcWebLayer::new()).route_layer(middleware::from_fn(name_grpc));
     let open = Router::new()
@@ -148,7 +147,8 @@ async fn openapi_json(described: Arc<str>) -> impl IntoResponse {
 }
 
 async fn docs() -> impl IntoResponse {
-    const POLICY: &str = "default-src 'none'; connect-src 'self'; script-src 'unsafe-inline'; style-src 'unsafe-inline'";
+    const POLICY: &str =
+        "default-src 'none'; connect-src 'self'; script-src 'unsafe-inline'; style-src 'unsafe-inline'";
     (
         [(header::CONTENT_TYPE, "text/html; charset=utf-8"), (header::CONTENT_SECURITY_POLICY, POLICY)],
         include_str!("docs.html"),
@@ -173,7 +173,14 @@ async fn method_not_allowed(request: Request) -> Response {
 
 /// Pages of these origins may call, and read what is in headers.
 fn cors(origins: Vec<HeaderValue>) -> CorsLayer {
-    let exposed = ["grpc-status", "grpc-message", "grpc-status-details-bin", "location", "server-timing", "retry-after"];
+    let exposed = [
+        "grpc-status",
+        "grpc-message",
+        "grpc-status-details-bin",
+        "location",
+        "server-timing",
+        "retry-after",
+    ];
     let exposed = exposed.map(HeaderName::from_static).into_iter().chain([REQUEST_ID, SHAPE]);
     CorsLayer::new()
         .allow_origin(AllowOrigin::list(origins))

@@ -12,7 +12,7 @@ use std::{
     time::{Duration, SystemTime, UNIX_EPOCH},
 };
 
-use moldline_service::{Principal, Role, Tenant};
+use moldline_service::{Principal, Tenant};
 use serde::{Deserialize, Serialize};
 
 use crate::access::role;
@@ -281,6 +281,8 @@ fn file_error(path: &Path, error: io::Error) -> TokenFileError {
 
 #[cfg(test)]
 mod tests {
+    use moldline_service::Role;
+
     use super::*;
 
     fn principal(tenant: &str, role: Role) -> Principal {

@@ -10,7 +10,7 @@ use moldline_service::{Code, Principal, ServiceError};
 use moldline_transport::{Deadline, Health, status};
 use tokio::sync::mpsc;
 use tokio_stream::{
-    Stream,
+    Stream, StreamExt,
     wrappers::{ReceiverStream, UnboundedReceiverStream},
 };
 use tonic::{Request, Response, Status, Streaming, service::Routes};
@@ -39,9 +39,8 @@ pub async fn routes(
     let meshes = MeshServiceServer::new(Grpc { meshes })
         .max_decoding_message_size(max_message)
         .max_encoding_message_size(usize::MAX);
-    let open = Routes::new(answers)
-        .add_service(reflection().build_v1()?)
-        .add_service(reflection().build_v1alpha()?);
+    let open =
+        Routes::new(answers).add_service(reflection().build_v1()?).add_service(reflection().build_v1alpha()?);
     Ok((Routes::new(meshes), open, health))
 }
 
@@ -89,22 +88,8 @@ impl MeshService for Grpc {
 
     async fn jacobian(&self, request: Request<v1::JacobianRequest>) -> Result<Response<Columns>, Status> {
         let (caller, deadline, request) = open(request)?;
-        // A client that reads slowly holds up its own columns only, and few of them are waiting.
-        let (sender, columns) = mpsc::channel(4);
-        let meshes = self.meshes.clone();
-        let work = async move {
-            let send = async |message| sender.send(Ok(message)).await.is_ok();
-            let outcome = tokio::select! {
-                outcome = deadline.limit(meshes.jacobian(&caller, request, send), |error| error) => outcome,
-                // The client has gone, and with this future the interest in what is computed.
-                () = sender.closed() => return,
-            };
-            if let Err(error) = outcome {
-                let _ = sender.send(Err(status(error))).await;
-            }
-        };
-        tokio::spawn(work.instrument(Span::current()));
-        Ok(Response::new(Box::pin(ReceiverStream::new(columns))))
+        let columns = ReceiverStream::new(self.meshes.jacobian(caller, deadline, request));
+        Ok(Response::new(Box::pin(columns.map(|block| block.map_err(status)))))
     }
 
     async fn get_setup(
@@ -231,15 +216,12 @@ async fn create_setup(
         Some(part) => convert::header(part).map_err(status)?,
         None => return Err(status(ServiceError::invalid("header", "is missing: nothing was sent"))),
     };
-    let next = async || match parts.message().await? {
-        None => Ok::<_, Status>(None),
-        Some(part) => {
-            let chunk = convert::chunk(part).map_err(status)?;
-            Ok(Some((chunk.file as usize, chunk.data)))
-        }
-    };
+    let parts = parts.map(|part| {
+        let chunk = convert::chunk(part?).map_err(status)?;
+        Ok((chunk.file as usize, chunk.data))
+    });
     let tell = |progress| {
         let _ = events.send(Ok(event(Event::Progress(progress))));
     };
-    meshes.create_setup(caller, header, next, tell, status).await
+    meshes.create_setup(caller, header, parts, tell, status).await
 }

@@ -2,20 +2,22 @@
 
 use std::{collections::BTreeMap, fmt};
 
-use moldline_proto::v1::{self, design_point, deform_request};
+use moldline_proto::v1::{self, deform_request, design_point};
 use moldline_transport::media::Numbers;
 use serde::{Deserialize, de};
 use utoipa::ToSchema;
 
 /// A design: values of the variables, and control points from outside.
 #[derive(Debug, Default, Deserialize, ToSchema)]
-#[serde(deny_unknown_fields, default)]
+#[serde(deny_unknown_fields)]
 #[schema(as = RequestDesignPoint)]
 pub struct DesignPoint {
     /// Every variable in order, or some by name; those not named, or all, stay at their baseline.
     #[schema(value_type = Option<DesignValues>, nullable = false)]
+    #[serde(default)]
     design: Option<Values>,
     /// Components whose control points come from elsewhere, in place of what the design makes of them.
+    #[serde(default)]
     control_points: Vec<ControlPoints>,
 }
 
@@ -87,79 +89,94 @@ pub struct ControlPointVectors {
 
 /// Where a derivative is taken: by id, by design, or best by both.
 #[derive(Debug, Default, Deserialize, ToSchema)]
-#[serde(deny_unknown_fields, default)]
+#[serde(deny_unknown_fields)]
 #[schema(as = RequestLinearisationPoint)]
 pub struct At {
     /// As Deform returned it.
+    #[serde(default)]
     linearisation_id: String,
     /// Linearised again if the server does not hold it any more.
     #[schema(nullable = false)]
+    #[serde(default)]
     design_point: Option<DesignPoint>,
 }
 
 /// What to deform to.
 #[derive(Debug, Default, Deserialize, ToSchema)]
-#[serde(deny_unknown_fields, default)]
+#[serde(deny_unknown_fields)]
 #[schema(example = json!({ "design": { "wing.translation": 0.5 } }))]
 #[schema(as = DeformRequest)]
 pub struct Deform {
     /// Every variable in order, or some by name; those not named, or all, stay at their baseline.
     #[schema(value_type = Option<DesignValues>, nullable = false)]
+    #[serde(default)]
     design: Option<Values>,
     /// Components whose control points come from elsewhere, in place of what the design makes of them.
+    #[serde(default)]
     control_points: Vec<ControlPoints>,
     /// Whether the measures of every cell are wanted too.
+    #[serde(default)]
     include_cell_quality: bool,
 }
 
 /// Directions of the inputs; what is absent is zero. Parts that are given have as many.
 #[derive(Debug, Default, Deserialize, ToSchema)]
-#[serde(deny_unknown_fields, default)]
+#[serde(deny_unknown_fields)]
 #[schema(as = ApplyJacobianVectorRequest)]
 pub struct Jvp {
     /// Where the derivative is taken.
+    #[serde(default)]
     at: At,
     /// One list of all variables for each direction.
     #[schema(value_type = Option<Vec<Vec<f64>>>, nullable = false)]
+    #[serde(default)]
     design: Option<Numbers>,
     /// Of the control points of some components.
+    #[serde(default)]
     control_points: Vec<ControlPointVectors>,
 }
 
 /// Weights of the outputs; what is absent is zero. Parts that are given have as many.
 #[derive(Debug, Default, Deserialize, ToSchema)]
-#[serde(deny_unknown_fields, default)]
+#[serde(deny_unknown_fields)]
 #[schema(as = ApplyAdjointRequest)]
 pub struct Vjp {
     /// Where the derivative is taken.
+    #[serde(default)]
     at: At,
     /// One list of `[x, y, z]` for each vector of weights, per metre.
     #[schema(value_type = Option<Vec<Vec<Vec<f64>>>>, nullable = false)]
+    #[serde(default)]
     vertices: Option<Numbers>,
     /// One list of all functions for each vector of weights.
     #[schema(value_type = Option<Vec<Vec<f64>>>, nullable = false)]
+    #[serde(default)]
     functions: Option<Numbers>,
     /// Whether gradients by the design variables are wanted; they are if no others are.
+    #[serde(default)]
     include_design: bool,
     /// Components by whose control points gradients are wanted.
+    #[serde(default)]
     control_points_of: Vec<String>,
 }
 
 /// Which Jacobian.
 #[derive(Debug, Default, Deserialize, ToSchema)]
-#[serde(deny_unknown_fields, default)]
+#[serde(deny_unknown_fields)]
 #[schema(as = JacobianRequest)]
 pub struct Jacobian {
     /// Where the derivative is taken.
+    #[serde(default)]
     at: At,
 }
 
 /// A session to open.
 #[derive(Debug, Default, Deserialize, ToSchema)]
-#[serde(deny_unknown_fields, default)]
+#[serde(deny_unknown_fields)]
 #[schema(as = OpenSessionRequest)]
 pub struct OpenSession {
     /// For people; may be empty.
+    #[serde(default)]
     pub label: String,
 }
 
@@ -215,7 +232,8 @@ impl From<Visibility> for v1::Visibility {
 }
 
 fn control_points(given: Vec<ControlPoints>) -> Vec<v1::ControlPoints> {
-    let message = |ControlPoints { component, points }| v1::ControlPoints { component, points: Some(points.0) };
+    let message =
+        |ControlPoints { component, points }| v1::ControlPoints { component, points: Some(points.0) };
     given.into_iter().map(message).collect()
 }
 
@@ -299,9 +317,13 @@ mod tests {
     #[test]
     fn a_design_is_a_list_or_an_object() {
         let read = |text| serde_json::from_str::<Deform>(text).unwrap().message("s".to_owned()).input;
-        let Some(deform_request::Input::Design(vector)) = read("{\"design\": [1, 2]}") else { panic!("a vector") };
+        let Some(deform_request::Input::Design(vector)) = read("{\"design\": [1, 2]}") else {
+            panic!("a vector")
+        };
         assert_eq!(vector.shape, [2]);
-        let Some(deform_request::Input::Named(named)) = read("{\"design\": {\"x\": 1}}") else { panic!("names") };
+        let Some(deform_request::Input::Named(named)) = read("{\"design\": {\"x\": 1}}") else {
+            panic!("names")
+        };
         assert_eq!(named.values["x"], 1.0);
         assert!(read("{}").is_none());
         assert!(serde_json::from_str::<Deform>("{\"design\": 1}").is_err());

@@ -7,7 +7,7 @@ use axum::{
     response::Response,
 };
 use moldline_proto::v1::{self, Array, DataType};
-use moldline_service::{Code, Principal, ServiceError};
+use moldline_service::{Code, ServiceError};
 use moldline_transport::{
     Answer, Caller, Deadline, Id, Problem, Query,
     media::{self, ARRAYS, Media},
@@ -15,9 +15,12 @@ use moldline_transport::{
 };
 use tokio::sync::mpsc;
 use tokio_stream::{StreamExt, wrappers::ReceiverStream};
-use tracing::{Instrument, Span};
 
-use super::{Http, documents, replies::server_timing, sessions::{AtQuery, Sent}};
+use super::{
+    Http, documents,
+    replies::{Reply, server_timing},
+    sessions::{AtQuery, Sent},
+};
 
 type Block = Result<v1::JacobianResponse, ServiceError>;
 
@@ -29,13 +32,13 @@ type Block = Result<v1::JacobianResponse, ServiceError>;
     post, path = "/v1/sessions/{session_id}/jacobian", operation_id = "Jacobian", tag = "sessions",
     params(("session_id" = String, Path), AtQuery),
     request_body(content(
-        (documents::Jacobian = "application/json"), (Vec<u8> = "application/x-npy"),
-        (Vec<u8> = "application/x-npz"), (Vec<u8> = "application/octet-stream"),
+        (documents::Jacobian = "application/json"), (media::Binary = "application/x-npy"),
+        (media::Binary = "application/x-npz"), (media::Binary = "application/octet-stream"),
     ), description = "Arrays: `at.design`, `at.control_points.COMPONENT`."),
     responses(
         (status = 200, description = "All columns. Arrays: `vertices` (variables, n, 3), `functions`.", content(
-            (v1::JacobianResponse = "application/json"), (Vec<u8> = "application/x-npy"),
-            (Vec<u8> = "application/x-npz"), (Vec<u8> = "application/octet-stream"),
+            (v1::JacobianResponse = "application/json"), (media::Binary = "application/x-npy"),
+            (media::Binary = "application/x-npz"), (media::Binary = "application/octet-stream"),
         )),
         (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
     )
@@ -55,35 +58,12 @@ pub async fn jacobian(
         Sent::Arrays(arrays) => arrays.jacobian(id, query.linearisation_id)?,
     };
     let limit = http.max_body;
-    let mut blocks = start(http, caller, deadline, request);
+    let mut blocks = http.meshes.jacobian(caller, deadline, request);
     let first = blocks.recv().await.unwrap_or_else(|| Err(cut_off()))?;
     match media {
         Media::Npy | Media::Octets => stream(media, first, blocks),
-        _ => media::reply(media, collect(first, blocks, limit).await?),
+        _ => collect(first, blocks, limit).await?.respond(media),
     }
-}
-
-/// Computes apart from the request, as fast as somebody takes the blocks.
-fn start(
-    http: Http,
-    caller: Principal,
-    deadline: Deadline,
-    request: v1::JacobianRequest,
-) -> mpsc::Receiver<Block> {
-    let (sender, blocks) = mpsc::channel(4);
-    let work = async move {
-        let send = async |block| sender.send(Ok(block)).await.is_ok();
-        let outcome = tokio::select! {
-            outcome = deadline.limit(http.meshes.jacobian(&caller, request, send), |error| error) => outcome,
-            // The client has gone, and with this future the interest in what is computed.
-            () = sender.closed() => return,
-        };
-        if let Err(error) = outcome {
-            let _ = sender.send(Err(error)).await;
-        }
-    };
-    tokio::spawn(work.instrument(Span::current()));
-    blocks
 }
 
 fn cut_off() -> ServiceError {
@@ -121,7 +101,8 @@ async fn collect(
 ) -> Answer<v1::JacobianResponse> {
     let columns = first.columns;
     let bytes = |array: &Option<Array>| array.as_ref().map_or(0, |array| array.data.len());
-    let each = bytes(&first.vertices) / first.vertices.as_ref().map_or(1, |array| array.shape[0].max(1) as usize);
+    let each =
+        bytes(&first.vertices) / first.vertices.as_ref().map_or(1, |array| array.shape[0].max(1) as usize);
     if each.saturating_mul(columns as usize) > limit {
         let description = format!(
             "{columns} columns of {each} bytes are more than the limit of {limit} bytes; ask for application/x-npy, which \

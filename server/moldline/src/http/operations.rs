@@ -2,6 +2,7 @@
 //! what they have built is stored, and posting the same content again finds it.
 
 use std::{
+    pin::Pin,
     sync::{Mutex, MutexGuard, PoisonError},
     time::{Duration, Instant},
 };
@@ -44,6 +45,9 @@ pub struct Operation {
 /// Tells about progress.
 pub type Tell = Box<dyn FnMut(v1::Progress) + Send>;
 
+/// What an operation does.
+pub type Work = Pin<Box<dyn Future<Output = Answer<v1::CreatedSetup>> + Send>>;
+
 /// Operations that run, and those that ended not long ago.
 #[derive(Debug, Default)]
 pub struct Operations(Mutex<Vec<Entry>>);
@@ -77,14 +81,7 @@ impl Operations {
     ///
     /// # Errors
     /// `ResourceExhausted` if there are too many.
-    pub async fn start<F>(
-        &self,
-        caller: &Principal,
-        work: impl FnOnce(Tell) -> F,
-    ) -> Answer<Response>
-    where
-        F: Future<Output = Answer<v1::CreatedSetup>> + Send + 'static,
-    {
+    pub async fn start(&self, caller: &Principal, work: impl FnOnce(Tell) -> Work) -> Answer<Response> {
         let (sender, mut course) = watch::channel(Course::default());
         let id = Uuid::new_v4().simple().to_string();
         let teller = sender.clone();
@@ -101,8 +98,9 @@ impl Operations {
         }
         // Who goes away while it sends has sent nothing.
         let mut pending = Pending { operations: self, id: Some(&id) };
-        let received =
-            |course: &Course| course.outcome.is_some() || !matches!(course.progress.stage.as_str(), "" | "receive");
+        let received = |course: &Course| {
+            course.outcome.is_some() || !matches!(course.progress.stage.as_str(), "" | "receive")
+        };
         let _ = course.wait_for(received).await;
         pending.id = None;
         let mut response = media::document(StatusCode::ACCEPTED, &describe(&id, &course.borrow()))?;
@@ -179,11 +177,7 @@ fn describe(id: &str, course: &Course) -> Operation {
         (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
     )
 )]
-pub async fn get_operation(
-    State(http): State<Http>,
-    Caller(caller): Caller,
-    Id(id): Id,
-) -> Answer<Response> {
+pub async fn get_operation(State(http): State<Http>, Caller(caller): Caller, Id(id): Id) -> Answer<Response> {
     let all = http.operations.lock();
     let entry = all.iter().find(|entry| entry.id == id && entry.tenant == caller.tenant);
     let entry = entry.ok_or_else(|| ServiceError::not_found("operation", &id))?;

@@ -1,7 +1,27 @@
 //! Which arrays answers have, and what travels beside them in headers.
 
+use axum::response::Response;
 use moldline_proto::v1::{self, Array, design_point};
-use moldline_transport::media::Reply;
+use moldline_transport::{
+    Answer,
+    media::{self, Media},
+};
+use serde::Serialize;
+
+/// An answer with arrays.
+pub trait Reply: Serialize + Sized {
+    /// Takes the arrays out of it, each with its name; the main one is the first.
+    fn take_arrays(&mut self) -> Vec<(String, Array)>;
+
+    /// What belongs into headers where only the main array travels.
+    fn headers(&self) -> Vec<(&'static str, String)>;
+
+    /// As the client wants it.
+    fn respond(self, media: Media) -> Answer<Response> {
+        let headers = self.headers();
+        media::reply(media, self, Self::take_arrays, &headers)
+    }
+}
 
 /// Names an answer's linearisation.
 const LINEARISATION_ID: &str = "moldline-linearisation-id";
@@ -11,11 +31,9 @@ fn named(name: &str, array: Option<Array>) -> Option<(String, Array)> {
 }
 
 fn of_components(control_points: Vec<v1::ControlPoints>) -> impl Iterator<Item = (String, Array)> {
-    control_points
-        .into_iter()
-        .filter_map(|v1::ControlPoints { component, points }| {
-            named(&format!("control_points.{component}"), points)
-        })
+    control_points.into_iter().filter_map(|v1::ControlPoints { component, points }| {
+        named(&format!("control_points.{component}"), points)
+    })
 }
 
 /// Where the time went, as browsers show it too.
@@ -46,7 +64,9 @@ impl Reply for v1::GetSetupResponse {
 impl Reply for v1::GetSessionResponse {
     fn take_arrays(&mut self) -> Vec<(String, Array)> {
         let Some(session) = &mut self.session else { return Vec::new() };
-        let Some(v1::DesignPoint { input, control_points }) = session.design.take() else { return Vec::new() };
+        let Some(v1::DesignPoint { input, control_points }) = session.design.take() else {
+            return Vec::new();
+        };
         let design = match input {
             Some(design_point::Input::Design(design)) => Some(design),
             _ => None,

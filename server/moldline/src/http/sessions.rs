@@ -12,13 +12,13 @@ use moldline_transport::{
     media::{self, ARRAYS, Media},
 };
 use serde::{Deserialize, de::DeserializeOwned};
-use utoipa::IntoParams;
 
 use super::{
     Http,
     arrays::Arrays,
     documents::{Deform, Jvp, OpenSession, UpdateSession, Vjp},
     idempotency_key,
+    replies::Reply,
     setups::Page,
 };
 
@@ -102,7 +102,8 @@ pub async fn list_sessions(
     Caller(caller): Caller,
     Query(Page { page_size, page_token }): Query<Page>,
 ) -> Answer<Response> {
-    let listed = http.meshes.list_sessions(&caller, v1::ListSessionsRequest { page_size, page_token }).await?;
+    let listed =
+        http.meshes.list_sessions(&caller, v1::ListSessionsRequest { page_size, page_token }).await?;
     media::document(StatusCode::OK, &listed)
 }
 
@@ -114,8 +115,8 @@ pub async fn list_sessions(
     params(("session_id" = String, Path)),
     responses(
         (status = 200, description = "The session.", content(
-            (v1::GetSessionResponse = "application/json"), (Vec<u8> = "application/x-npy"),
-            (Vec<u8> = "application/x-npz"), (Vec<u8> = "application/octet-stream"),
+            (v1::GetSessionResponse = "application/json"), (media::Binary = "application/x-npy"),
+            (media::Binary = "application/x-npz"), (media::Binary = "application/octet-stream"),
         )),
         (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
     )
@@ -127,7 +128,7 @@ pub async fn get_session(
     headers: HeaderMap,
 ) -> Answer<Response> {
     let media = Media::accepted(&headers, &ARRAYS)?;
-    media::reply(media, http.meshes.get_session(&caller, v1::GetSessionRequest { session_id }).await?)
+    http.meshes.get_session(&caller, v1::GetSessionRequest { session_id }).await?.respond(media)
 }
 
 /// Stores a session's design
@@ -183,7 +184,7 @@ pub async fn close_session(
 }
 
 /// What a design that comes as arrays does not say.
-#[derive(Debug, Deserialize, IntoParams)]
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct DeformQuery {
@@ -202,13 +203,13 @@ pub struct DeformQuery {
     post, path = "/v1/sessions/{session_id}/deform", operation_id = "Deform", tag = "sessions",
     params(("session_id" = String, Path), DeformQuery),
     request_body(content(
-        (Option<Deform> = "application/json"), (Vec<u8> = "application/x-npy"),
-        (Vec<u8> = "application/x-npz"), (Vec<u8> = "application/octet-stream"),
+        (Option<Deform> = "application/json"), (media::Binary = "application/x-npy"),
+        (media::Binary = "application/x-npz"), (media::Binary = "application/octet-stream"),
     ), description = "Arrays: `design`, `control_points.COMPONENT`."),
     responses(
         (status = 200, description = "The deformed mesh. Arrays: `vertices`, `functions`, `cell_quality.*`.", content(
-            (v1::DeformResponse = "application/json"), (Vec<u8> = "application/x-npy"),
-            (Vec<u8> = "application/x-npz"), (Vec<u8> = "application/octet-stream"),
+            (v1::DeformResponse = "application/json"), (media::Binary = "application/x-npy"),
+            (media::Binary = "application/x-npz"), (media::Binary = "application/octet-stream"),
         )),
         (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
     )
@@ -226,11 +227,11 @@ pub async fn deform(
         Sent::Document(document) => Deform::message(document, id),
         Sent::Arrays(arrays) => arrays.deform(id, query.include_cell_quality)?,
     };
-    media::reply(media, http.meshes.deform(&caller, request).await?)
+    http.meshes.deform(&caller, request).await?.respond(media)
 }
 
 /// Where a derivative is taken, if the body comes as arrays.
-#[derive(Debug, Deserialize, IntoParams)]
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct AtQuery {
@@ -247,13 +248,13 @@ pub struct AtQuery {
     post, path = "/v1/sessions/{session_id}/jvp", operation_id = "ApplyJacobianVector", tag = "sessions",
     params(("session_id" = String, Path), AtQuery),
     request_body(content(
-        (Jvp = "application/json"), (Vec<u8> = "application/x-npy"),
-        (Vec<u8> = "application/x-npz"), (Vec<u8> = "application/octet-stream"),
+        (Jvp = "application/json"), (media::Binary = "application/x-npy"),
+        (media::Binary = "application/x-npz"), (media::Binary = "application/octet-stream"),
     ), description = "Arrays: `design`, `control_points.COMPONENT`, `at.design`, `at.control_points.COMPONENT`."),
     responses(
         (status = 200, description = "Tangents. Arrays: `vertices`, `functions`.", content(
-            (v1::ApplyJacobianVectorResponse = "application/json"), (Vec<u8> = "application/x-npy"),
-            (Vec<u8> = "application/x-npz"), (Vec<u8> = "application/octet-stream"),
+            (v1::ApplyJacobianVectorResponse = "application/json"), (media::Binary = "application/x-npy"),
+            (media::Binary = "application/x-npz"), (media::Binary = "application/octet-stream"),
         )),
         (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
     )
@@ -271,11 +272,11 @@ pub async fn apply_jacobian_vector(
         Sent::Document(document) => Jvp::message(document, id),
         Sent::Arrays(arrays) => arrays.jvp(id, query.linearisation_id)?,
     };
-    media::reply(media, http.meshes.apply_jacobian_vector(&caller, request).await?)
+    http.meshes.apply_jacobian_vector(&caller, request).await?.respond(media)
 }
 
 /// What seeds that come as arrays do not say.
-#[derive(Debug, Deserialize, IntoParams)]
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct VjpQuery {
@@ -297,13 +298,13 @@ pub struct VjpQuery {
     post, path = "/v1/sessions/{session_id}/vjp", operation_id = "ApplyAdjoint", tag = "sessions",
     params(("session_id" = String, Path), VjpQuery),
     request_body(content(
-        (Vjp = "application/json"), (Vec<u8> = "application/x-npy"),
-        (Vec<u8> = "application/x-npz"), (Vec<u8> = "application/octet-stream"),
+        (Vjp = "application/json"), (media::Binary = "application/x-npy"),
+        (media::Binary = "application/x-npz"), (media::Binary = "application/octet-stream"),
     ), description = "Arrays: `vertices`, `functions`, `at.design`, `at.control_points.COMPONENT`."),
     responses(
         (status = 200, description = "Gradients. Arrays: `design`, `control_points.COMPONENT`.", content(
-            (v1::ApplyAdjointResponse = "application/json"), (Vec<u8> = "application/x-npy"),
-            (Vec<u8> = "application/x-npz"), (Vec<u8> = "application/octet-stream"),
+            (v1::ApplyAdjointResponse = "application/json"), (media::Binary = "application/x-npy"),
+            (media::Binary = "application/x-npz"), (media::Binary = "application/octet-stream"),
         )),
         (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
     )
@@ -325,5 +326,5 @@ pub async fn apply_adjoint(
             arrays.vjp(id, query.linearisation_id, query.include_design, components)?
         }
     };
-    media::reply(media, http.meshes.apply_adjoint(&caller, request).await?)
+    http.meshes.apply_adjoint(&caller, request).await?.respond(media)
 }

@@ -12,7 +12,7 @@ use moldline_proto::v1;
 use moldline_service::{Principal, ServiceError};
 use moldline_transport::{
     Answer, Caller, Deadline, Id, Problem, Query, Refusal,
-    media::{self, ARRAYS, Media},
+    media::{self, ARRAYS, Chunks, Media},
 };
 use serde::Deserialize;
 use tokio::{
@@ -21,18 +21,18 @@ use tokio::{
 };
 use tokio_stream::{StreamExt, wrappers::UnboundedReceiverStream};
 use tracing::{Instrument, Span};
-use utoipa::IntoParams;
 
 use super::{
     Http,
     documents::{ShareSetup, Visibility},
     idempotency_key,
-    operations::{Operation, Tell},
+    operations::{Operation, Tell, Work},
+    replies::Reply,
 };
 use crate::convert;
 
 /// How an upload is described.
-#[derive(Debug, Deserialize, IntoParams)]
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct Upload {
@@ -58,7 +58,7 @@ pub struct Upload {
         ("Prefer" = Option<String>, Header, description = "`respond-async` answers an operation as soon as the body is there."),
     ),
     request_body(content(
-        (Vec<u8> = "application/x-tar"), (Vec<u8> = "application/gzip"), (Vec<u8> = "application/zip"),
+        (media::Binary = "application/x-tar"), (media::Binary = "application/gzip"), (media::Binary = "application/zip"),
         (serde_json::Value = "application/json"), (String = "application/toml"),
     ), description = "An archive (tar, tar.gz, zip), or `setup.json` or `setup.toml` alone. Its length has to be announced."),
     responses(
@@ -86,7 +86,9 @@ pub async fn create_setup(
     let prefer = headers.get_all("prefer").iter();
     if prefer.filter_map(|value| value.to_str().ok()).any(|value| value.contains("respond-async")) {
         let (operations, owner) = (Arc::clone(&http.operations), caller.clone());
-        let work = move |tell: Tell| async move { receive(&http, &caller, header, body, tell).await };
+        let work = move |tell: Tell| -> Work {
+            Box::pin(async move { receive(&http, &caller, header, body, tell).await })
+        };
         return operations.start(&owner, work).await;
     }
     let created = receive(&http, &caller, header, body, |_| {}).await?;
@@ -146,23 +148,13 @@ async fn receive(
     http: &Http,
     caller: &Principal,
     header: v1::SetupHeader,
-    mut body: Body,
+    body: Body,
     tell: impl FnMut(v1::Progress),
 ) -> Answer<v1::CreatedSetup> {
     let header = convert::upload(header)?;
     let most = http.meshes.service().limits().chunk_bytes;
-    let mut rest = Bytes::new();
-    let next = async || {
-        while rest.is_empty() {
-            match media::next(&mut body).await? {
-                None => return Ok::<_, Refusal>(None),
-                Some(data) => rest = data,
-            }
-        }
-        let some = rest.split_to(rest.len().min(most));
-        Ok(Some((0, some)))
-    };
-    http.meshes.create_setup(caller, header, next, tell, Refusal::from).await
+    let parts = Chunks::new(body, most).map(|data| Ok((0, data?)));
+    http.meshes.create_setup(caller, header, parts, tell, Refusal::from).await
 }
 
 /// The same as server-sent events.
@@ -211,7 +203,7 @@ fn event(name: &str, content: &impl serde::Serialize) -> String {
 }
 
 /// A part of a list.
-#[derive(Debug, Deserialize, IntoParams)]
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct Page {
@@ -243,7 +235,7 @@ pub async fn list_setups(
 }
 
 /// What is wanted of a set-up.
-#[derive(Debug, Deserialize, IntoParams)]
+#[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct GetSetup {
@@ -263,8 +255,8 @@ pub struct GetSetup {
     params(("setup_id" = String, Path), GetSetup),
     responses(
         (status = 200, description = "The set-up.", content(
-            (v1::GetSetupResponse = "application/json"), (Vec<u8> = "application/x-npy"),
-            (Vec<u8> = "application/x-npz"), (Vec<u8> = "application/octet-stream"),
+            (v1::GetSetupResponse = "application/json"), (media::Binary = "application/x-npy"),
+            (media::Binary = "application/x-npz"), (media::Binary = "application/octet-stream"),
         )),
         (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
     )
@@ -278,7 +270,7 @@ pub async fn get_setup(
 ) -> Answer<Response> {
     let media = Media::accepted(&headers, &ARRAYS)?;
     let request = v1::GetSetupRequest { setup_id, include_mesh, include_control_points };
-    media::reply(media, http.meshes.get_setup(&caller, request).await?)
+    http.meshes.get_setup(&caller, request).await?.respond(media)
 }
 
 /// Gives up a set-up of the caller's own
