@@ -67,7 +67,7 @@ class Iterate:
     optimality: float
     #: Multipliers of the constraints: change of the optimal objective for a unit of their limit, scaled.
     multipliers: Array
-    #: Evaluations so far.
+    #: Points that were evaluated so far, those of the record included.
     evaluations: int
     notes: dict[str, Any]
     #: Whether all that led here came from the record.
@@ -216,14 +216,15 @@ def minimise(
         },
         resume=resume,
     )
-    evaluations = 0
+    points: set[bytes] = set()
     replayed = True
     iterates: list[Iterate] = []
 
     def values(x: Array) -> dict[str, Any]:
-        nonlocal evaluations, replayed
+        nonlocal replayed
         # -0 and 0 are one point.
         x = np.clip(x, lower, upper) + 0.0
+        points.add(x.tobytes())
         known = table.values(x)
         if known is None:
             replayed = False
@@ -233,7 +234,6 @@ def minimise(
             known = table.add(
                 {"x": x.tolist(), "objective": float(objective), "constraints": of_constraints.tolist(), "notes": notes}
             )
-            evaluations += 1
         return known
 
     def derivatives(x: Array) -> dict[str, Any]:
@@ -269,7 +269,7 @@ def minimise(
             worst=constraints[worst].name if violations else "",
             optimality=optimality,
             multipliers=multipliers,
-            evaluations=evaluations,
+            evaluations=len(points),
             notes={"values": of["notes"], "derivatives": by["notes"]},
             replayed=replayed,
         )

@@ -147,7 +147,7 @@ def sensitivities(study: Study, iterates: list[slsqp.Iterate]) -> list[dict[str,
         by[at] = by[at] / (iterate.objective * FUEL)
     for k, (name, choice) in enumerate(aircraft.CHOICES.items()):
         size = choice.value or 1.0
-        rows.append({"name": name, "baseline": by["baseline"][k] * size, "optimum": by["optimum"][k] * size})
+        rows.append({"name": name, **{at: float(changes[k] * size) for at, changes in by.items()}})
     return sorted(rows, key=lambda row: -abs(row["optimum"]))
 
 
@@ -215,7 +215,14 @@ def goals(problems: Mapping[str, Any]) -> list[dict[str, Any]]:
 
     def goal(name: str, value: float, least: float, most: float, unit: str = "1") -> None:
         rows.append(
-            {"name": name, "value": value, "least": least, "most": most, "unit": unit, "reached": least <= value <= most}
+            {
+                "name": name,
+                "value": float(value),
+                "least": least,
+                "most": most,
+                "unit": unit,
+                "reached": bool(least <= value <= most),
+            }
         )
 
     for name, problem in problems.items():
