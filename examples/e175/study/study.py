@@ -76,6 +76,7 @@ def trimmed_baseline(study: Study, path: Path, resume: bool) -> None:
         study.set_variables(json.loads(path.read_text()))
     else:
         study.trim()
+        path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(json.dumps(study.get_variables()) + "\n")
 
 
@@ -195,7 +196,6 @@ def variants(binary: Path, out: Path, *, iterations: int, resume: bool) -> list[
             for name in PROBLEMS:
                 print(f"\nvariant: {title}", flush=True)
                 folder = out / "variants" / title.replace(" ", "-")
-                folder.mkdir(parents=True, exist_ok=True)
                 _, outcome = solve(name, session, flow, folder, iterations=iterations, resume=resume, model=model)
                 first, last = (outcome.iterates[k].notes["values"] for k in (0, -1))
                 rows.append({
