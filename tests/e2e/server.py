@@ -14,12 +14,12 @@ import moldline
 
 
 class Server:
-    """A running `moldline serve` on a free port of the loopback interface."""
+    """A running `moldline serve`, or `moldline panel serve`, on a free port of the loopback interface."""
 
-    def __init__(self, binary: Path, *options: str) -> None:
+    def __init__(self, binary: Path, *options: str, command: tuple[str, ...] = ("serve",)) -> None:
         listen = [] if "--listen" in options else ["--listen", "127.0.0.1:0"]
-        command = [str(binary), "serve", *listen, *options]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        arguments = [str(binary), *command, *listen, *options]
+        self.process = subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         self.log: list[str] = []
         self._reader = threading.Thread(target=self._read_log, daemon=True)
         self._reader.start()

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use metrics::{counter, gauge};
-use moldline_service::{Principal, Service};
+use moldline_service::{CacheStatus, Principal, Service};
 use moldline_transport::{Gauges, Served};
 
 use crate::{
@@ -15,7 +15,7 @@ use crate::{
 
 /// Serves until asked to stop, then finishes what runs.
 pub fn run(options: &Serve) -> Result<(), crate::local::Failure> {
-    let service = Arc::new(Service::new(options.pool(), options.limits()).map_err(ServeError::from)?);
+    let service = Arc::new(Service::new(options.compute.pool(), options.limits()).map_err(ServeError::from)?);
     let runtime = shell::runtime()?;
     let outcome = runtime.block_on(serve(options, service));
     runtime.shutdown_background();
@@ -23,9 +23,9 @@ pub fn run(options: &Serve) -> Result<(), crate::local::Failure> {
 }
 
 async fn serve(options: &Serve, service: Arc<Service>) -> Result<(), ServeError> {
-    let pool = options.pool();
+    let pool = options.compute.pool();
     tracing::info!(threads = pool.threads, running = pool.running, queued = pool.queued, "computing");
-    shell::serve(&options.listen, parts(service, options.max_message << 20).await?).await
+    shell::serve(&options.listen, parts(service, options.compute.max_message << 20).await?).await
 }
 
 /// The mesh service as the shell takes it.
@@ -61,12 +61,16 @@ fn tell(status: &moldline_service::Status) {
     gauge!("moldline_setups_resident").set(status.setups_resident as f64);
     gauge!("moldline_setups_stored").set(status.setups_stored as f64);
     gauge!("moldline_stored_bytes").set(status.stored_bytes as f64);
-    for (name, cache) in [("setups", &status.setup_cache), ("linearisations", &status.linearisation_cache)] {
-        gauge!("moldline_cache_entries", "cache" => name).set(cache.entries as f64);
-        gauge!("moldline_cache_bytes", "cache" => name).set(cache.bytes as f64);
-        gauge!("moldline_cache_budget_bytes", "cache" => name).set(cache.budget as f64);
-        counter!("moldline_cache_hits_total", "cache" => name).absolute(cache.hits);
-        counter!("moldline_cache_misses_total", "cache" => name).absolute(cache.misses);
-        counter!("moldline_cache_evictions_total", "cache" => name).absolute(cache.evictions);
-    }
+    tell_cache("setups", &status.setup_cache);
+    tell_cache("linearisations", &status.linearisation_cache);
+}
+
+/// How full a cache is, and how well it serves.
+pub fn tell_cache(name: &'static str, cache: &CacheStatus) {
+    gauge!("moldline_cache_entries", "cache" => name).set(cache.entries as f64);
+    gauge!("moldline_cache_bytes", "cache" => name).set(cache.bytes as f64);
+    gauge!("moldline_cache_budget_bytes", "cache" => name).set(cache.budget as f64);
+    counter!("moldline_cache_hits_total", "cache" => name).absolute(cache.hits);
+    counter!("moldline_cache_misses_total", "cache" => name).absolute(cache.misses);
+    counter!("moldline_cache_evictions_total", "cache" => name).absolute(cache.evictions);
 }

@@ -61,7 +61,8 @@ impl Definition {
                 indices(&mut hasher, &group.indices);
             }
         }
-        let Options { symmetry, trailing_edges, components, solver, tolerance, memory_limit: _ } = &self.options;
+        let Options { symmetry, trailing_edges, components, solver, tolerance, memory_limit: _ } =
+            &self.options;
         name(&mut hasher, word(*symmetry));
         match trailing_edges {
             TrailingEdges::None => name(&mut hasher, "none"),
@@ -94,7 +95,8 @@ impl Definition {
     /// Bytes that the configuration takes, about: what is found for each cell, and the vertices.
     pub fn bytes(&self) -> u64 {
         const OF_CELL: u64 = 2048;
-        let grouped: usize = self.cell_groups.iter().chain(&self.vertex_groups).map(|g| g.indices.len()).sum();
+        let grouped: usize =
+            self.cell_groups.iter().chain(&self.vertex_groups).map(|g| g.indices.len()).sum();
         OF_CELL * self.cells.len() as u64 + 64 * self.vertices.len() as u64 + 8 * grouped as u64
     }
 

@@ -25,7 +25,5 @@ pub use configuration::{Configuration, Definition};
 pub use memory::{Claim, Memory};
 pub use refusal::refused;
 pub use reporter::Reporter;
-pub use service::{
-    Analysed, AnalysisPoint, Created, Geometry, Limits, PanelService, Status,
-};
+pub use service::{Analysed, AnalysisPoint, Created, Geometry, Limits, PanelService, Status};
 pub use solved::Solved;

@@ -167,7 +167,10 @@ mod tests {
         let used = keep(&memory, 0, 60);
         let error = memory.claim("it", 50).unwrap_err();
         assert_eq!(error.code, Code::ResourceExhausted);
-        assert!(error.retry_after.is_some() && error.message.contains("60 of the server's limit of 100"), "{error}");
+        assert!(
+            error.retry_after.is_some() && error.message.contains("60 of the server's limit of 100"),
+            "{error}"
+        );
         drop(used);
         assert!(memory.claim("it", 50).is_ok());
         assert_eq!(memory.status().bytes, 0);

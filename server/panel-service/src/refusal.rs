@@ -11,7 +11,8 @@ pub fn refused(error: PanelError) -> ServiceError {
         PanelError::UnknownGroup { field, .. } => format!("options.{field}"),
         PanelError::OutOfRange { field, .. } | PanelError::Length { field, .. } => field,
         PanelError::Open { cell, .. } | PanelError::Inwards { cell, .. } => format!("cells[{cell}]"),
-        PanelError::NonManifold { cells, .. } | PanelError::Inconsistent { cells, .. } => match cells.first() {
+        PanelError::NonManifold { cells, .. } | PanelError::Inconsistent { cells, .. } => match cells.first()
+        {
             Some(cell) => format!("cells[{cell}]"),
             None => "cells".to_owned(),
         },

@@ -7,8 +7,8 @@ use std::{
 
 use moldline_panel::{Analysis, Flow, Inputs, Outputs, Reference, SetupSummary};
 use moldline_service::{
-    CacheStatus, Cancellation, Code, Completed, ComputePool, Flights, Joined, PoolLimits, Principal, Product, Progress,
-    Reports, Role, ServiceError, Tenant, Timing,
+    CacheStatus, Cancellation, Code, Completed, ComputePool, Flights, Joined, PoolLimits, Principal, Product,
+    Progress, Reports, Role, ServiceError, Tenant, Timing,
 };
 
 use crate::{
@@ -37,7 +37,12 @@ pub struct Limits {
 impl Default for Limits {
     fn default() -> Self {
         Self {
-            mesh: moldline_mesh::Limits { vertices: 200_000, cells: 200_000, groups: 1000, ..Default::default() },
+            mesh: moldline_mesh::Limits {
+                vertices: 200_000,
+                cells: 200_000,
+                groups: 1000,
+                ..Default::default()
+            },
             configuration_bytes: 512 << 20,
             solution_bytes: 4 << 30,
             vectors: 64,
@@ -169,7 +174,8 @@ impl PanelService {
         caller.need(Role::User)?;
         let id = definition.id();
         let key = (caller.tenant.clone(), id.clone());
-        let (memory, pool, limits) = (Arc::clone(&self.configurations), Arc::clone(&self.pool), self.limits.clone());
+        let (memory, pool, limits) =
+            (Arc::clone(&self.configurations), Arc::clone(&self.pool), self.limits.clone());
         let land = {
             let (memory, key) = (Arc::clone(&memory), key.clone());
             move |configuration: &Arc<Configuration>| memory.keep(key, Arc::clone(configuration))
@@ -189,7 +195,9 @@ impl PanelService {
             Joined::Following(follower) => {
                 Ok(Created { configuration: follower.land(|_| {}).await?, created: false })
             }
-            Joined::Started(follower) => Ok(Created { configuration: follower.land(|_| {}).await?, created: true }),
+            Joined::Started(follower) => {
+                Ok(Created { configuration: follower.land(|_| {}).await?, created: true })
+            }
         }
     }
 
@@ -228,7 +236,9 @@ impl PanelService {
         let id = name(&configuration, &geometry);
         let (solved, reused, timing) = self.solved(caller, &configuration, id, Some(geometry), tell).await?;
         let solution = Arc::clone(&solved.solution);
-        let analyse = move |_: &Cancellation| flows.iter().map(|flow| solution.analyse(flow).map_err(refused)).collect();
+        let analyse = move |_: &Cancellation| {
+            flows.iter().map(|flow| solution.analyse(flow).map_err(refused)).collect()
+        };
         let Completed { value, queued, ran } = self.pool.run(analyse).await?;
         Ok(Analysed { solved, analyses: value, reused, timing: timing + Timing { queued, engine: ran } })
     }
@@ -244,10 +254,10 @@ impl PanelService {
         at: AnalysisPoint,
         directions: Vec<Inputs>,
     ) -> Result<Product<Vec<Outputs>>, ServiceError> {
-        let size = |c: &Configuration| c.vertices.len() * size_of::<[f64; 3]>();
-        self.product(caller, configuration_id, at, ("directions", directions.len(), &size), move |linearisation, monitor| {
-            linearisation.jvp(&directions, monitor)
-        })
+        let count = directions.len();
+        self.product(caller, configuration_id, at, "directions", count,
+            move |linearisation, monitor| linearisation.jvp(&directions, monitor),
+        )
         .await
     }
 
@@ -262,10 +272,10 @@ impl PanelService {
         at: AnalysisPoint,
         seeds: Vec<Outputs>,
     ) -> Result<Product<Vec<Inputs>>, ServiceError> {
-        let size = |c: &Configuration| c.vertices.len() * size_of::<[f64; 3]>();
-        self.product(caller, configuration_id, at, ("seeds", seeds.len(), &size), move |linearisation, monitor| {
-            linearisation.vjp(&seeds, monitor)
-        })
+        let count = seeds.len();
+        self.product(caller, configuration_id, at, "seeds", count,
+            move |linearisation, monitor| linearisation.vjp(&seeds, monitor),
+        )
         .await
     }
 
@@ -274,7 +284,8 @@ impl PanelService {
         caller: &Principal,
         configuration_id: &str,
         at: AnalysisPoint,
-        (what, count, size): (&str, usize, &(dyn Fn(&Configuration) -> usize + Sync)),
+        what: &str,
+        count: usize,
         work: impl FnOnce(
             &moldline_panel::Linearisation,
             &dyn moldline_panel::Monitor,
@@ -284,7 +295,7 @@ impl PanelService {
     ) -> Result<Product<Vec<T>>, ServiceError> {
         caller.need(Role::User)?;
         let configuration = self.configuration(caller, configuration_id)?;
-        self.check_count(what, count, size(&configuration))?;
+        self.check_count(what, count, size_of::<[f64; 3]>() * configuration.vertices.len())?;
         let AnalysisPoint { analysis_id, geometry, flow } = at;
         check_flow("at.flow", "at.reference", &flow, &configuration.summary)?;
         let id = match &geometry {
@@ -379,7 +390,9 @@ impl PanelService {
             return Err(ServiceError::invalid(field, "is empty"));
         }
         if count > most {
-            let description = format!("{count} are more than the limit of {most} for a mesh of this size; send fewer at a time");
+            let description = format!(
+                "{count} are more than the limit of {most} for a mesh of this size; send fewer at a time"
+            );
             return Err(ServiceError::invalid(field, description));
         }
         Ok(())
@@ -405,7 +418,10 @@ fn check_flow(
     finite(format!("{angles}.alpha"), flow.alpha)?;
     finite(format!("{angles}.sideslip"), flow.sideslip)?;
     if summary.symmetric && flow.sideslip != 0.0 {
-        let description = format!("{} rad needs both halves; this configuration solves one with a symmetry plane", flow.sideslip);
+        let description = format!(
+            "{} rad needs both halves; this configuration solves one with a symmetry plane",
+            flow.sideslip
+        );
         return Err(ServiceError::invalid(format!("{angles}.sideslip"), description));
     }
     let Reference { area, chord, span, point } = flow.reference;
