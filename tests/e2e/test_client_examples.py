@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import subprocess
+import sys
 from pathlib import Path
 
 import moldline
@@ -74,3 +75,14 @@ def test_the_sweep_in_rust_has_the_other_clients_numbers(
                 round(moved.functions["enclosed_volume"], 4),
             )
             assert derivative == round(gradient[0], 5)
+
+
+def test_the_gradient_over_http_is_the_clients(server: Server, setup: moldline.Setup, setup_folder: Path) -> None:
+    script = ROOT / "examples/http/gradient.py"
+    command = [sys.executable, str(script), f"http://{server.address}", str(setup_folder), "setup.json"]
+    run = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    told = re.findall(r"^(\S+) +(\S+) m\^2 per m$", run.stdout, flags=re.MULTILINE)
+    with setup.session() as session:
+        moved = session.deform(0.9 * setup.baseline + 0.1 * setup.bounds[1])
+        gradient = session.vjp(vertices=moved.vertices - setup.mesh.vertices, at=moved).design
+    assert told == [(v.name, f"{slope:+.12e}") for v, slope in zip(setup.variables, gradient, strict=True)]
