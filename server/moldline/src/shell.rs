@@ -94,7 +94,11 @@ pub async fn serve(options: &Listen, parts: Parts) -> Result<(), ServeError> {
         let _ = closed.await;
     }));
 
-    signals.requested().await;
+    tokio::select! {
+        () = signals.requested() => {}
+        // It ends when it is told to, or fails.
+        ended = &mut server => return ended.map_err(|error| ServeError::Start(std::io::Error::other(error))),
+    }
     tracing::info!(running = load(), "asked to stop: finishing what runs");
     health.end().await;
     time::sleep(Duration::from_secs_f64(options.drain_delay)).await;

@@ -531,7 +531,10 @@ impl Service {
     pub async fn status(&self, caller: &Principal) -> Result<Status, ServiceError> {
         let all_tenants = caller.role >= Role::Admin;
         let owner = (!all_tenants).then_some(&caller.tenant);
-        let setups = self.setups.all().len();
+        let usable = |setup: &&Arc<StoredSetup>| {
+            all_tenants || self.owners.access(setup.id.as_str(), &caller.tenant).is_some()
+        };
+        let setups = self.setups.all().iter().filter(usable).count();
         let PoolLimits { running, queued, .. } = self.pool.limits();
         Ok(Status {
             version: env!("CARGO_PKG_VERSION"),
@@ -545,8 +548,9 @@ impl Service {
             setups_resident: setups,
             setups_stored: setups,
             stored_bytes: 0,
-            setup_cache: CacheStatus::default(),
-            linearisation_cache: CacheStatus::default(),
+            // Bounded by number, not by bytes.
+            setup_cache: CacheStatus { entries: setups, ..CacheStatus::default() },
+            linearisation_cache: self.sessions.cache(owner),
             work: Vec::new(),
         })
     }

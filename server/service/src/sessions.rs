@@ -17,6 +17,7 @@ use crate::{
     principal::Tenant,
     requests::Answers,
     setups::StoredSetup,
+    status::CacheStatus,
 };
 
 /// Sessions by id, with what they keep: values of type `T`, at most so many a session, and so many bytes in all.
@@ -36,6 +37,10 @@ struct State<T> {
     bytes: usize,
     /// Grows with every use.
     clock: u64,
+    /// How often what was looked for was kept, was not, and was dropped to make room.
+    hits: u64,
+    misses: u64,
+    evictions: u64,
 }
 
 #[derive(Debug)]
@@ -58,7 +63,8 @@ impl<T> Sessions<T> {
     /// No sessions.
     pub fn new(limits: &Limits) -> Self {
         let answers = Answers::new(4 * limits.sessions);
-        let state = State { open: HashMap::new(), answers, bytes: 0, clock: 0 };
+        let state =
+            State { open: HashMap::new(), answers, bytes: 0, clock: 0, hits: 0, misses: 0, evictions: 0 };
         Self {
             state: Mutex::new(state),
             sessions: limits.sessions,
@@ -175,6 +181,24 @@ impl<T> Sessions<T> {
         self.lock().open.values().filter(|open| owner.is_none_or(|owner| open.owner == *owner)).count()
     }
 
+    /// What the sessions of `owner`, or of all, keep.
+    pub fn cache(&self, owner: Option<&Tenant>) -> CacheStatus {
+        let state = self.lock();
+        let kept = || {
+            let open = state.open.values().filter(|open| owner.is_none_or(|owner| open.owner == *owner));
+            open.flat_map(|open| &open.kept)
+        };
+        let told = |count| if owner.is_none() { count } else { 0 };
+        CacheStatus {
+            entries: kept().count(),
+            bytes: kept().map(|kept| kept.bytes).sum(),
+            budget: self.bytes,
+            hits: told(state.hits),
+            misses: told(state.misses),
+            evictions: told(state.evictions),
+        }
+    }
+
     /// Closes a session and lets go of what it keeps. What it computes ends undisturbed.
     ///
     /// # Errors
@@ -194,9 +218,13 @@ impl<T> Sessions<T> {
     pub fn find(&self, session: &str, id: &str) -> Option<Arc<T>> {
         let mut state = self.lock();
         let used = state.tick();
-        let kept = state.open.get_mut(session)?.kept.iter_mut().find(|kept| kept.id == id)?;
-        kept.used = used;
-        Some(Arc::clone(&kept.value))
+        let kept = state.open.get_mut(session)?.kept.iter_mut().find(|kept| kept.id == id);
+        let found = kept.map(|kept| {
+            kept.used = used;
+            Arc::clone(&kept.value)
+        });
+        *if found.is_some() { &mut state.hits } else { &mut state.misses } += 1;
+        found
     }
 
     /// Keeps `value`, in place of one of the same name, and lets go of those used least recently: of the session's where
@@ -207,6 +235,7 @@ impl<T> Sessions<T> {
         let Some(owner) = state.open.get_mut(session) else { return };
         let mut dropped: Vec<Kept<T>> = owner.kept.extract_if(.., |kept| kept.id == id).collect();
         owner.kept.push(Kept { id: id.to_owned(), value, bytes, used });
+        let replaced = dropped.len();
         if owner.kept.len() > self.kept {
             dropped.extend(oldest(&owner.kept).map(|index| owner.kept.remove(index)));
         }
@@ -221,6 +250,7 @@ impl<T> Sessions<T> {
             state.bytes -= kept.bytes;
             dropped.push(kept);
         }
+        state.evictions += (dropped.len() - replaced) as u64;
         drop(state);
         // Large, and so not freed under the lock.
         drop(dropped);
