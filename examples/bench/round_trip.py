@@ -33,7 +33,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--binary", type=Path, required=True, help="the moldline program")
     binary: Path = parser.parse_args().binary
-    command = [str(binary), "serve", "--listen", "127.0.0.1:0", "--log", "warn"]
+    command = [str(binary), "serve", "--listen", "127.0.0.1:0", "--store", "memory", "--log", "warn"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as server:
         try:
             assert server.stdout is not None

@@ -94,7 +94,7 @@ class Server:
 
     def __init__(self, binary: Path, log: Path, *options: str) -> None:
         self._log = log.open("w")
-        command = [str(binary), "serve", "--listen", "127.0.0.1:0", *options]
+        command = [str(binary), "serve", "--listen", "127.0.0.1:0", "--store", "memory", *options]
         self._process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=self._log, text=True)
         assert self._process.stdout is not None
         line = self._process.stdout.readline()

@@ -14,11 +14,11 @@ import moldline
 
 
 class Server:
-    """A running `moldline serve` on a free port of the loopback interface."""
+    """A running `moldline serve` on a free port of the loopback interface; its store ends with it if none is named."""
 
-    def __init__(self, binary: Path, *options: str) -> None:
+    def __init__(self, binary: Path, *options: str, store: Path | str = "memory") -> None:
         listen = [] if "--listen" in options else ["--listen", "127.0.0.1:0"]
-        command = [str(binary), "serve", *listen, *options]
+        command = [str(binary), "serve", *listen, "--store", str(store), *options]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         self.log: list[str] = []
         self._reader = threading.Thread(target=self._read_log, daemon=True)

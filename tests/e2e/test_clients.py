@@ -262,7 +262,7 @@ def test_a_session_is_stored_resumed_and_closed(client: Client, server: Server, 
 
 
 def test_a_dropped_linearisation_is_made_again(client: Client, binary: Path, setup_folder: Path, same: Same) -> None:
-    with Server(binary, "--max-linearisations", "1") as small:
+    with Server(binary, "--linearisation-memory", "0") as small:
         other = Client(client.language)
         other("connect", address=small.address)
         session = other("open", setup=other("create_setup", path=str(setup_folder))["setup"])["session"]

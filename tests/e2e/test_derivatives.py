@@ -179,7 +179,7 @@ def test_a_large_block_goes_in_several_requests(boom: moldline.Session) -> None:
 
 
 def test_a_dropped_linearisation_is_said_or_made_again(binary: Path, setup_folder: Path) -> None:
-    with Server(binary, "--max-linearisations", "2") as server, server.client() as client:
+    with Server(binary, "--linearisation-memory", "0") as server, server.client() as client:
         with client.create_setup(setup_folder).session() as session:
             first = session.deform(DESIGN)
             before = session.jvp([1.0, 0.0, 0.0], at=first.linearisation_id)
@@ -197,10 +197,12 @@ def test_a_dropped_linearisation_is_said_or_made_again(binary: Path, setup_folde
             np.testing.assert_allclose(column, before.vertices, rtol=0, atol=1e-14 * np.abs(column).max())
 
 
-def test_a_linearisation_is_the_sessions_own(boom: moldline.Session) -> None:
+def test_a_linearisation_is_known_to_all_sessions_on_its_set_up(boom: moldline.Session) -> None:
     made = boom.deform(DESIGN).linearisation_id
-    with boom.setup.session() as other, pytest.raises(moldline.NotFound) as refused:
-        other.jacobian(at=made)
+    with boom.setup.session() as other:
+        assert other.jacobian(at=made).vertices.tobytes() == boom.jacobian(at=made).vertices.tobytes()
+        with pytest.raises(moldline.NotFound) as refused:
+            other.jacobian(at="0" * len(made))
     assert refused.value.violations[0].field == "at.linearisation_id"
 
 

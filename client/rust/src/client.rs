@@ -347,7 +347,7 @@ impl Setup {
 
 /// Work on one set-up, apart from all other sessions.
 ///
-/// The server keeps it, with the design that was stored last, until it is closed or the server ends: an optimizer stores
+/// The server keeps it, with the design that was stored last, over restarts and until it is closed: an optimizer stores
 /// where it has got to ([`Session::update`]), and goes on from there ([`Client::resume`]) when it was interrupted itself.
 #[derive(Clone, Debug)]
 pub struct Session {
@@ -372,7 +372,7 @@ impl Session {
         Self { setup: self.setup.with_timeout(timeout), state: self.state.clone() }
     }
 
-    /// Stores the session's design, label or both.
+    /// Stores the session's design, label or both. When it returns, it is durable.
     ///
     /// # Errors
     /// [`Code::Aborted`] if the session has been updated elsewhere since: [`Session::refresh`] reads what is there now.

@@ -6,7 +6,7 @@ use moldline_mesh::Plane;
 use moldline_spline::Vector3;
 
 use crate::{
-    rbf::{Kernel, RadialBasis, RbfError},
+    rbf::{Factors, Kernel, RadialBasis, RbfError},
     training::TrainingVertex,
 };
 
@@ -36,6 +36,8 @@ impl Field {
     /// Factorises the system of a training set. `reference` are the positions of all vertices of the mesh, m. With a
     /// `mirror` the field is that of the whole configuration, of which the mesh is one half.
     ///
+    /// Where `found` has the factors of this system, they are taken.
+    ///
     /// # Errors
     /// [`RbfError`] if the training vertices coincide or lie in one plane.
     pub fn new(
@@ -44,6 +46,7 @@ impl Field {
         kernel: Kernel,
         regularisation: f64,
         mirror: Option<Mirror<'_>>,
+        found: Option<&Factors>,
     ) -> Result<Self, RbfError> {
         let at = |t: &TrainingVertex| reference[t.vertex as usize];
         let mut centres: Vec<Vector3> = training.iter().map(at).collect();
@@ -58,12 +61,20 @@ impl Field {
             }
         }
         let mirror_signs = mirror.map_or_else(Vec::new, |m| m.signs);
-        Ok(Self {
-            basis: RadialBasis::new(kernel, &centres, regularisation)?,
-            training,
-            images,
-            mirror_signs,
-        })
+        let restored = match found {
+            Some(factors) => RadialBasis::restore(kernel, &centres, factors)?,
+            None => None,
+        };
+        let basis = match restored {
+            Some(basis) => basis,
+            None => RadialBasis::new(kernel, &centres, regularisation)?,
+        };
+        Ok(Self { basis, training, images, mirror_signs })
+    }
+
+    /// What took time to find.
+    pub fn factors(&self) -> Factors {
+        self.basis.factors()
     }
 
     /// The training vertices.

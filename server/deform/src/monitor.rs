@@ -47,6 +47,10 @@ pub enum Stage {
 }
 
 impl Stage {
+    /// Those of a set-up.
+    pub const OF_SETUP: [Self; 6] =
+        [Self::Mesh, Self::Ownership, Self::Seams, Self::Training, Self::Factorisation, Self::Report];
+
     /// A word for people and protocols.
     pub fn name(self) -> &'static str {
         match self {

@@ -49,7 +49,44 @@ pub struct Ownership {
     pub cell_owner: Vec<u32>,
 }
 
+/// The parts of an [`Ownership`], as they are found.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct OwnershipParts {
+    /// Attachments of vertex `v`: `attachments[offsets[v]..offsets[v + 1]]`.
+    pub offsets: Vec<u32>,
+    /// Of all vertices.
+    pub attachments: Vec<Attachment>,
+    /// Owner of each cell.
+    pub cell_owner: Vec<u32>,
+}
+
 impl Ownership {
+    /// As it was found before; `None` if it is not of so many vertices and cells, or of other bodies.
+    pub fn restore(parts: OwnershipParts, vertices: usize, cells: usize, bodies: &[Body]) -> Option<Self> {
+        let OwnershipParts { offsets, attachments, cell_owner } = parts;
+        let ordered = offsets.len() == vertices + 1
+            && offsets.first() == Some(&0)
+            && offsets.last().map(|&end| end as usize) == Some(attachments.len())
+            && offsets.windows(2).all(|pair| pair[0] < pair[1]);
+        let fits = attachments.iter().all(|attachment| {
+            let Some(body) = bodies.get(attachment.component as usize) else { return false };
+            let edges = body.component().edges().len();
+            (attachment.location.patch as usize) < body.component().patches().len()
+                && !matches!(attachment.freedom, Freedom::Edge(edge) if edge as usize >= edges)
+        });
+        let owned = cell_owner.len() == cells && cell_owner.iter().all(|&c| (c as usize) < bodies.len());
+        (ordered && fits && owned).then_some(Self { offsets, attachments, cell_owner })
+    }
+
+    /// For [`restore`](Self::restore).
+    pub fn parts(&self) -> OwnershipParts {
+        OwnershipParts {
+            offsets: self.offsets.clone(),
+            attachments: self.attachments.clone(),
+            cell_owner: self.cell_owner.clone(),
+        }
+    }
+
     /// The attachments of a vertex: at least one, several on a seam.
     pub fn of(&self, vertex: u32) -> &[Attachment] {
         let v = vertex as usize;

@@ -91,6 +91,25 @@ pub struct RadialBasis {
     regularisation: f64,
 }
 
+/// What takes time to find of a [`RadialBasis`].
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Factors {
+    /// c^2 of the linear kernel, scaled.
+    pub rounding: f64,
+    /// What is added to the diagonal.
+    pub regularisation: f64,
+    /// The first four rows of `Q^T Psi Q`, column after column.
+    pub top: Vec<f64>,
+    /// The lower triangle of the Cholesky factor of the rest, column after column.
+    pub lower: Vec<f64>,
+}
+
+impl Factors {
+    fn lower_length(size: usize) -> usize {
+        size * (size + 1) / 2
+    }
+}
+
 /// Scaled points, one array a coordinate, padded to whole lanes.
 #[derive(Clone, Debug)]
 struct Cloud {
@@ -187,17 +206,9 @@ impl RadialBasis {
     /// # Errors
     /// [`RbfError`] if centres coincide or lie in one plane.
     pub fn new(kernel: Kernel, centres: &[Vector3], regularisation: f64) -> Result<Self, RbfError> {
+        let mut basis = Self::unfactorised(kernel, centres)?;
         let count = centres.len();
-        let (low, high) = bounds(centres);
-        let origin = 0.5 * (low + high);
-        let scale = (high - low).max().max(f64::MIN_POSITIVE);
-        let scaled: Vec<Vector3> = centres.iter().map(|c| (c - origin) / scale).collect();
-        let planar = || RbfError::Planar { centres: count };
-        if count <= AFFINE {
-            return Err(planar());
-        }
-        let (reflectors, triangle) = orthogonalise(&scaled).ok_or_else(planar)?;
-
+        let scaled: Vec<Vector3> = (0..count).map(|i| basis.centres.get(i)).collect();
         let mut matrix = Mat::<f64>::zeros(count, count);
         let mut least = f64::INFINITY;
         for j in 0..count {
@@ -227,7 +238,7 @@ impl RadialBasis {
         for i in 0..count {
             matrix[(i, i)] = psi(kernel, rounding, 0.0) + regularisation;
         }
-        reflect_both_sides(&mut matrix, &reflectors);
+        reflect_both_sides(&mut matrix, &basis.reflectors);
         let top = matrix.get(..AFFINE, ..).to_owned();
         let mut factor = matrix.get(AFFINE.., AFFINE..).to_owned();
         let size = count - AFFINE;
@@ -245,10 +256,28 @@ impl RadialBasis {
         .map_err(|llt::factor::LltError::NonPositivePivot { index }| RbfError::Coincident {
             centre: index + AFFINE,
         })?;
+        (basis.rounding, basis.regularisation) = (rounding, regularisation);
+        (basis.top, basis.factor) = (top, factor);
+        Ok(basis)
+    }
+
+    /// All but what takes time.
+    fn unfactorised(kernel: Kernel, centres: &[Vector3]) -> Result<Self, RbfError> {
+        let count = centres.len();
+        let (low, high) = bounds(centres);
+        let origin = 0.5 * (low + high);
+        let scale = (high - low).max().max(f64::MIN_POSITIVE);
+        let scaled: Vec<Vector3> = centres.iter().map(|c| (c - origin) / scale).collect();
+        let planar = || RbfError::Planar { centres: count };
+        if count <= AFFINE {
+            return Err(planar());
+        }
+        let (reflectors, triangle) = orthogonalise(&scaled).ok_or_else(planar)?;
         let centres = Cloud::new(&scaled);
+        let (top, factor) = (Mat::new(), Mat::new());
         Ok(Self {
             kernel,
-            rounding,
+            rounding: 0.0,
             origin,
             scale,
             centres,
@@ -256,8 +285,40 @@ impl RadialBasis {
             triangle,
             top,
             factor,
-            regularisation,
+            regularisation: 0.0,
         })
+    }
+
+    /// What took time.
+    pub fn factors(&self) -> Factors {
+        let mut top = Vec::with_capacity(AFFINE * self.centres.count);
+        (0..self.centres.count).for_each(|j| top.extend_from_slice(self.top.col_as_slice(j)));
+        let size = self.factor.ncols();
+        let mut lower = Vec::with_capacity(Factors::lower_length(size));
+        (0..size).for_each(|j| lower.extend_from_slice(&self.factor.col_as_slice(j)[j..]));
+        Factors { rounding: self.rounding, regularisation: self.regularisation, top, lower }
+    }
+
+    /// The same basis as [`new`](Self::new) gives, from what that found; `None` if it is not of these centres.
+    ///
+    /// # Errors
+    /// [`RbfError`] if the centres lie in one plane.
+    pub fn restore(kernel: Kernel, centres: &[Vector3], factors: &Factors) -> Result<Option<Self>, RbfError> {
+        let mut basis = Self::unfactorised(kernel, centres)?;
+        let size = centres.len() - AFFINE;
+        if factors.top.len() != AFFINE * centres.len() || factors.lower.len() != Factors::lower_length(size) {
+            return Ok(None);
+        }
+        (basis.rounding, basis.regularisation) = (factors.rounding, factors.regularisation);
+        basis.top = Mat::from_fn(AFFINE, centres.len(), |k, j| factors.top[AFFINE * j + k]);
+        basis.factor = Mat::zeros(size, size);
+        let mut rest = factors.lower.as_slice();
+        for j in 0..size {
+            let (column, others) = rest.split_at(size - j);
+            basis.factor.col_as_slice_mut(j)[j..].copy_from_slice(column);
+            rest = others;
+        }
+        Ok(Some(basis))
     }
 
     /// Number of centres.

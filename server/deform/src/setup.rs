@@ -17,7 +17,8 @@ use crate::{
     field::{Field, Mirror},
     inspection::Inspection,
     outputs::{Function, Measured, OutputDeclaration, Outputs},
-    ownership::{Freedom, Ownership},
+    ownership::{Freedom, Ownership, OwnershipParts},
+    rbf::Factors,
     report::{ComponentSummary, FieldSummary, ProtectedSummary, SetupReport, Symmetry},
     seam::SeamSolver,
     seam_setup::seam_solver,
@@ -37,6 +38,15 @@ pub struct SetupInput {
     pub outputs: Vec<OutputDeclaration>,
     /// Choices.
     pub options: Options,
+}
+
+/// What a set-up finds that takes time: enough to have the same set-up again without looking for it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Derived {
+    /// Where every vertex lies.
+    pub ownership: OwnershipParts,
+    /// The factorised fields, in their order.
+    pub fields: Vec<Factors>,
 }
 
 /// A field and the vertices that it moves.
@@ -105,6 +115,27 @@ impl Setup {
     /// # Errors
     /// [`SetupError`] if the mesh does not fit the components, an option is out of range, and so on.
     pub fn build(input: SetupInput, monitor: &dyn Monitor) -> Result<Self, SetupError> {
+        Self::assemble(input, Derived::default(), monitor)
+    }
+
+    /// The set-up that [`build`](Self::build) gives, bit for bit, from what that [`derived`](Self::derived) from the same
+    /// input. What does not fit the input is found again; what fits is believed.
+    ///
+    /// # Errors
+    /// As `build`.
+    pub fn restore(input: SetupInput, derived: Derived, monitor: &dyn Monitor) -> Result<Self, SetupError> {
+        Self::assemble(input, derived, monitor)
+    }
+
+    /// What took time to find.
+    pub fn derived(&self) -> Derived {
+        Derived {
+            ownership: self.ownership.parts(),
+            fields: self.fields.iter().map(|field| field.field.factors()).collect(),
+        }
+    }
+
+    fn assemble(input: SetupInput, derived: Derived, monitor: &dyn Monitor) -> Result<Self, SetupError> {
         let SetupInput { components, mesh, parameterisation, outputs, options } = input;
         options.validate()?;
         let names: Vec<String> = components.iter().map(|c| c.name().to_owned()).collect();
@@ -129,7 +160,11 @@ impl Setup {
         let open_edges = topology.open_edges(&mesh.vertices, half_plane);
         refuse_holes(&mesh, &topology, &open_edges, options.open_mesh)?;
 
-        let mut ownership = Ownership::find(&mesh.vertices, &mesh.cells, &reference, tolerance, monitor)?;
+        let (vertices, cells) = (mesh.vertices.len(), mesh.cells.len());
+        let mut ownership = match Ownership::restore(derived.ownership, vertices, cells, &reference) {
+            Some(found) => found,
+            None => Ownership::find(&mesh.vertices, &mesh.cells, &reference, tolerance, monitor)?,
+        };
         let components_summary = component_summaries(&ownership, &components);
         let stationary = group_mask(&mesh, &options.stationary_groups);
         for (v, protected) in (0u32..).zip(group_mask(&mesh, &options.protected_groups)) {
@@ -167,6 +202,7 @@ impl Setup {
             mirror: mirror.as_deref(),
             half: half_plane,
             names: &names,
+            found: &derived.fields,
         }
         .build(monitor)?;
 
@@ -246,6 +282,15 @@ impl Setup {
     /// What was found.
     pub fn report(&self) -> &SetupReport {
         &self.report
+    }
+
+    /// Bytes that it holds, about: the factors, and what there is of each vertex and cell.
+    pub fn bytes(&self) -> usize {
+        /// Positions, attachments, adjacency, groups, normals.
+        const OF_A_VERTEX: usize = 400;
+        const OF_A_CELL: usize = 200;
+        let fields: usize = self.fields.iter().map(|field| field.field.bytes()).sum();
+        fields + OF_A_VERTEX * self.mesh.vertices.len() + OF_A_CELL * self.mesh.cells.len()
     }
 
     /// The reference mesh, as given.
@@ -492,6 +537,8 @@ struct Fields<'a> {
     mirror: Option<&'a [u32]>,
     half: Option<(&'a Plane, f64)>,
     names: &'a [String],
+    /// Factors known already, in the order of the fields.
+    found: &'a [Factors],
 }
 
 impl Fields<'_> {
@@ -535,11 +582,14 @@ impl Fields<'_> {
                 .and_then(|c| self.chart(c));
             let mirror = self.mirror_of(component, chart.as_ref());
             let kernel = self.options.kernel();
-            let field = Field::new(training, self.positions, kernel, self.options.regularisation, mirror)
-                .map_err(|error| SetupError::Factorisation {
+            let regularisation = self.options.regularisation;
+            let found = self.found.get(fields.len());
+            let field = Field::new(training, self.positions, kernel, regularisation, mirror, found).map_err(
+                |error| SetupError::Factorisation {
                     field: component.map_or("the whole mesh".into(), |c| self.names[c as usize].clone()),
                     reason: error.to_string(),
-                })?;
+                },
+            )?;
             let moved =
                 members.filter(|&v| matches!(self.ownership.of(v), [only] if only.freedom != Freedom::Fixed));
             let vertices: Vec<u32> = moved.collect();
@@ -547,6 +597,7 @@ impl Fields<'_> {
             fields.push(RegionField { component, chart, field, vertices, points });
             monitor.progress(Stage::Factorisation, (done + 1) as f64 / regions.len() as f64);
         }
+        monitor.progress(Stage::Factorisation, 1.0);
         Ok(fields)
     }
 

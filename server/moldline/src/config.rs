@@ -35,6 +35,50 @@ pub enum Command {
     Check(Check),
     /// Print the JSON Schema of set-up or geometry files
     Schema(Schema),
+    /// Look after a store of set-ups and sessions
+    #[command(subcommand)]
+    Store(Store),
+}
+
+/// What can be done with a store.
+#[derive(Debug, Subcommand)]
+pub enum Store {
+    /// Remove what nobody can reach any more: set-ups given up by all, closed sessions, old generations, left-overs
+    Gc(Collect),
+    /// Read everything and say what is damaged
+    Verify(Place),
+}
+
+/// Which store.
+#[derive(Debug, Args)]
+pub struct Place {
+    /// As of `moldline serve`
+    #[arg(long, env = "MOLDLINE_STORE", default_value = "moldline-store", value_name = "PLACE")]
+    pub store: String,
+}
+
+/// Options of `moldline store gc`.
+#[derive(Debug, Args)]
+pub struct Collect {
+    /// Which store.
+    #[command(flatten)]
+    pub place: Place,
+    /// Say what would be removed, and remove nothing
+    #[arg(long)]
+    pub dry_run: bool,
+    /// Leave what was written more recently, as in `90s`, `30m`, `24h`, `7d`; less than an hour is safe only while no server
+    /// uses the store
+    #[arg(long, default_value = "24h", value_parser = span)]
+    pub grace: Duration,
+}
+
+fn span(text: &str) -> Result<Duration, String> {
+    let seconds = [('s', 1), ('m', 60), ('h', 3600), ('d', 86400)]
+        .into_iter()
+        .find_map(|(unit, seconds)| Some((text.strip_suffix(unit)?, seconds)));
+    let (number, unit) = seconds.ok_or("expected a number and a unit: s, m, h or d")?;
+    let number: u32 = number.parse().map_err(|_| format!("`{number}` is not a whole number"))?;
+    Ok(Duration::from_secs(u64::from(number) * unit))
 }
 
 /// Where logs go and how they look.
@@ -114,16 +158,26 @@ pub struct Serve {
     /// Largest upload, MiB
     #[arg(long, env = "MOLDLINE_MAX_UPLOAD", default_value_t = 256, value_name = "MIB")]
     pub max_upload: u64,
-    /// Set-ups held in memory
-    #[arg(long, env = "MOLDLINE_MAX_SETUPS", default_value_t = 32)]
+    /// Where set-ups and sessions last: a folder (made if there is none), an object store such as s3://bucket/prefix (with
+    /// AWS_ENDPOINT, AWS_ACCESS_KEY_ID and so on in the environment), or `memory`, which ends with the server
+    #[arg(long, env = "MOLDLINE_STORE", default_value = "moldline-store", value_name = "PLACE")]
+    pub store: String,
+    /// Set-ups of one tenant in the store
+    #[arg(long, env = "MOLDLINE_MAX_SETUPS", default_value_t = 1000)]
     pub max_setups: usize,
-    /// Sessions open at a time
+    /// Open sessions of one tenant
     #[arg(long, env = "MOLDLINE_MAX_SESSIONS", default_value_t = 1000)]
     pub max_sessions: usize,
-    /// Linearisations that a session keeps for products with derivatives; the one used least recently is dropped
-    #[arg(long, env = "MOLDLINE_MAX_LINEARISATIONS", default_value_t = 4)]
-    pub max_linearisations: usize,
-    /// Memory of the linearisations of all sessions, MiB
+    /// Size of one tenant's set-ups in the store, MiB
+    #[arg(long, env = "MOLDLINE_MAX_STORED", default_value_t = 65536, value_name = "MIB")]
+    pub max_stored: u64,
+    /// Requests of one tenant that compute and wait
+    #[arg(long, env = "MOLDLINE_TENANT_LOAD", default_value_t = 64)]
+    pub tenant_load: usize,
+    /// Memory of set-ups, MiB; those used least recently are dropped, and loaded again when they are needed
+    #[arg(long, env = "MOLDLINE_SETUP_MEMORY", default_value_t = 4096, value_name = "MIB")]
+    pub setup_memory: usize,
+    /// Memory of linearisations, which products with derivatives need; those used least recently are dropped, MiB
     #[arg(long, env = "MOLDLINE_LINEARISATION_MEMORY", default_value_t = 2048, value_name = "MIB")]
     pub linearisation_memory: usize,
 }
@@ -140,7 +194,9 @@ impl Serve {
             upload_bytes: self.max_upload.saturating_mul(1 << 20),
             setups: self.max_setups,
             sessions: self.max_sessions,
-            linearisations: self.max_linearisations,
+            stored_bytes: self.max_stored.saturating_mul(1 << 20),
+            load: self.tenant_load,
+            setup_bytes: self.setup_memory.saturating_mul(1 << 20),
             linearisation_bytes: self.linearisation_memory.saturating_mul(1 << 20),
             ..Limits::default()
         }
@@ -334,6 +390,13 @@ mod tests {
     #[test]
     fn the_command_line_is_consistent() {
         Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn spans_have_a_unit() {
+        assert_eq!(span("24h").unwrap(), Duration::from_secs(86400));
+        assert_eq!(span("90s").unwrap(), Duration::from_secs(90));
+        assert!(span("24").is_err() && span("h").is_err() && span("-1h").is_err());
     }
 
     #[test]

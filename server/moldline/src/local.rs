@@ -64,6 +64,12 @@ pub enum Failure {
     /// A figure cannot be drawn.
     #[error("cannot draw the figure: {0}")]
     Plot(#[from] PlotError),
+    /// The store.
+    #[error(transparent)]
+    Store(#[from] moldline_service::StoreError),
+    /// It is not what was written.
+    #[error("{0} objects of the store are damaged")]
+    Damaged(usize),
     /// No threads.
     #[error("cannot start the compute threads: {0}")]
     Threads(#[from] rayon::ThreadPoolBuildError),

@@ -19,6 +19,7 @@ mod serve;
 mod shell;
 mod shutdown;
 mod status;
+mod store;
 mod table;
 mod telemetry;
 #[cfg(test)]
@@ -38,6 +39,7 @@ fn main() -> ExitCode {
         Command::Setup(options) => local::setup(&options),
         Command::Check(options) => check::run(&options),
         Command::Schema(options) => local::schema(&options),
+        Command::Store(options) => store::run(&options),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use metrics::{counter, gauge};
-use moldline_service::{Principal, Service};
+use moldline_service::{Principal, Service, Store};
 use moldline_transport::{Gauges, Served};
 
 use crate::{
@@ -15,16 +15,28 @@ use crate::{
 
 /// Serves until asked to stop, then finishes what runs.
 pub fn run(options: &Serve) -> Result<(), crate::local::Failure> {
-    let service = Arc::new(Service::new(options.pool(), options.limits()).map_err(ServeError::from)?);
     let runtime = shell::runtime()?;
-    let outcome = runtime.block_on(serve(options, service));
+    let outcome = runtime.block_on(async {
+        let store = Store::open(&options.store).await?;
+        let service = Service::with_store(store, options.pool(), options.limits())?;
+        serve(options, Arc::new(service)).await
+    });
     runtime.shutdown_background();
     Ok(outcome?)
 }
 
 async fn serve(options: &Serve, service: Arc<Service>) -> Result<(), ServeError> {
     let pool = options.pool();
-    tracing::info!(threads = pool.threads, running = pool.running, queued = pool.queued, "computing");
+    tracing::info!(
+        threads = pool.threads,
+        running = pool.running,
+        queued = pool.queued,
+        store = options.store,
+        "computing"
+    );
+    if options.store == "memory" {
+        tracing::warn!("set-ups and sessions end with this server");
+    }
     shell::serve(&options.listen, parts(service, options.max_message << 20).await?).await
 }
 

@@ -23,6 +23,9 @@ pub enum ServeError {
     /// No threads.
     #[error("cannot start the compute threads: {0}")]
     Threads(#[from] rayon::ThreadPoolBuildError),
+    /// The store is not to be had.
+    #[error(transparent)]
+    Store(#[from] moldline_service::StoreError),
     /// No runtime.
     #[error("cannot start: {0}")]
     Start(#[from] std::io::Error),

@@ -108,15 +108,11 @@ fn render(server: &str, status: &v1::GetStatusResponse) -> String {
             0 => String::new(),
             _ => format!(", {:.1} % found", 100.0 * share(cache.hits, asked)),
         };
-        let held = format!("{} held{found}", cache.entries);
-        if cache.budget_bytes == 0 {
-            return [name.to_owned(), String::new(), held, String::new()];
-        }
         [
             name.to_owned(),
             table::bar(share(cache.bytes, cache.budget_bytes), 20),
             format!("{} of {}", table::bytes(cache.bytes), table::bytes(cache.budget_bytes)),
-            held,
+            format!("{} held{found}", cache.entries),
         ]
     };
     text += &table::render(&[
@@ -132,11 +128,8 @@ fn render(server: &str, status: &v1::GetStatusResponse) -> String {
         status.setups_stored,
         table::bytes(status.stored_bytes)
     );
-    if status.running + status.queued == 0 {
-        return text + "nothing runs\n";
-    }
     if status.work.is_empty() {
-        return text;
+        return text + "nothing runs\n";
     }
     let mut rows = vec![["what", "for", "state", "tenant", "session", "set-up"].map(str::to_owned)];
     for work in &status.work {

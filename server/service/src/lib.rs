@@ -15,9 +15,14 @@
 //! - Whoever drops a future has lost interest: queued work is forgotten, running work is told through
 //!   [`moldline_deform::Monitor::cancelled`].
 //!
-//! Absent on purpose: wire formats, ports, and anything that survives the process.
+//! - What is acknowledged is in the store. Memory holds what is used: set-ups and linearisations within their budgets, each
+//!   loaded or made once however many ask. Any service on the same store can go on with any session.
+//! - Who calls is a [`Principal`]. Of what it may not see it learns nothing, not even that it exists.
+//!
+//! Absent on purpose: wire formats, ports, and who holds which credential.
 
 mod access;
+mod cache;
 mod cancel;
 mod checks;
 mod error;
@@ -29,7 +34,6 @@ mod principal;
 mod progress;
 mod read;
 mod refusal;
-mod requests;
 mod service;
 mod sessions;
 mod setups;
@@ -38,6 +42,7 @@ mod upload;
 
 pub use moldline_check::Report as CheckReport;
 pub use moldline_setup::ArchiveKind;
+pub use moldline_store::{Store, StoreError};
 
 pub use access::{Access, Listed, Page, Session, SessionUpdate, SetupSummary, Visibility};
 pub use cancel::Cancellation;

@@ -21,13 +21,19 @@ pub struct Limits {
     pub setup_file: moldline_setup::Limits,
     /// Entries of one page of a list.
     pub page: usize,
-    /// Set-ups in memory.
+    /// Set-ups of one tenant.
     pub setups: usize,
-    /// Sessions open.
+    /// Open sessions of one tenant.
     pub sessions: usize,
-    /// Linearisations that one session keeps.
-    pub linearisations: usize,
-    /// Bytes of all linearisations kept.
+    /// Bytes in the store of one tenant's set-ups.
+    pub stored_bytes: u64,
+    /// Requests of one tenant that compute or wait for it.
+    pub load: usize,
+    /// Bytes of a label.
+    pub label_bytes: usize,
+    /// Bytes of the set-ups in memory.
+    pub setup_bytes: usize,
+    /// Bytes of the linearisations in memory.
     pub linearisation_bytes: usize,
     /// Directions or seeds of one request.
     pub vectors: usize,
@@ -56,9 +62,12 @@ impl Default for Limits {
                 ..Default::default()
             },
             page: 1000,
-            setups: 32,
+            setups: 1000,
             sessions: 1000,
-            linearisations: 4,
+            stored_bytes: 64 << 30,
+            load: 64,
+            label_bytes: 256,
+            setup_bytes: 4 << 30,
             linearisation_bytes: 2 << 30,
             vectors: 64,
             vector_bytes: 128 << 20,

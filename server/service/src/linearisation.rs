@@ -7,6 +7,7 @@ use std::{collections::BTreeMap, sync::Arc};
 
 use moldline_deform::{Deformation, Linearisation, Monitor, Setup, Tangent};
 use moldline_parameterisation::{ControlPoints, Override, Parameterisation};
+use moldline_store::Numbers;
 
 use crate::{
     error::{ServiceError, shorten},
@@ -110,11 +111,13 @@ impl Resolved {
         self.vector
     }
 
-    /// As it is stored.
-    pub fn design(&self, parameterisation: &Parameterisation) -> Design {
-        let name = |component: usize| parameterisation.components()[component].clone();
-        let given = self.overrides.iter().map(|given| (name(given.component), given.control_points.clone()));
-        Design { values: Values::Vector(self.vector.clone()), control_points: given.collect() }
+    /// As it is stored: the variables, and the coordinates of control points that were given.
+    pub fn numbers(&self, parameterisation: &Parameterisation) -> (Numbers, Vec<(String, Numbers)>) {
+        let given = self.overrides.iter().map(|Override { component, control_points }| {
+            let name = parameterisation.components()[*component].clone();
+            (name, Numbers(control_points.as_flattened().to_vec()))
+        });
+        (Numbers(self.vector.clone()), given.collect())
     }
 
     /// A name for (set-up, design): the same for the same, on any server.
@@ -137,13 +140,14 @@ impl Resolved {
     pub fn linearise(
         self,
         id: String,
+        setup_id: SetupId,
         setup: &Arc<Setup>,
         monitor: &dyn Monitor,
     ) -> Result<Linearised, ServiceError> {
         let points = setup.parameterisation().control_points_with(&self.vector, &self.overrides)?;
         let engine = setup.linearise_control_points(&points, monitor)?;
         let given = self.overrides.iter().map(|given| given.component).collect();
-        Ok(Linearised { id, design: self.vector, given, engine, timing: Timing::default() })
+        Ok(Linearised { id, setup_id, design: self.vector, given, engine, timing: Timing::default() })
     }
 }
 
@@ -151,6 +155,7 @@ impl Resolved {
 #[derive(Debug)]
 pub struct Linearised {
     id: String,
+    setup_id: SetupId,
     design: Vec<f64>,
     /// Components whose control points were given.
     given: Vec<usize>,
@@ -163,6 +168,11 @@ impl Linearised {
     /// Names set-up and design in requests for derivatives.
     pub fn id(&self) -> &str {
         &self.id
+    }
+
+    /// Its set-up.
+    pub(crate) fn setup_id(&self) -> &SetupId {
+        &self.setup_id
     }
 
     /// The mesh.

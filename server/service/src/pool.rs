@@ -3,16 +3,20 @@
 //! Nothing heavy runs on the async runtime's threads, and no request makes threads of its own.
 
 use std::{
+    collections::{BTreeMap, HashMap},
     panic::{AssertUnwindSafe, catch_unwind},
-    sync::Arc,
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
     time::{Duration, Instant},
 };
 
-use tokio::sync::{Semaphore, oneshot};
+use tokio::sync::oneshot;
 
 use crate::{
     cancel::{Cancellation, Interest},
     error::{Code, ServiceError},
+    principal::Tenant,
+    progress::Progress,
+    status::Work,
 };
 
 /// How much computes at a time.
@@ -37,56 +41,120 @@ pub struct Completed<T> {
     pub ran: Duration,
 }
 
-/// A pool of threads behind an orderly queue.
+/// Whose a piece of work is, and what it is: for the queue and for those who watch it.
+#[derive(Clone, Debug)]
+pub struct Task {
+    /// Such as `build` or `deform`.
+    pub kind: &'static str,
+    /// Whose.
+    pub tenant: Tenant,
+    /// On which set-up, where that is known.
+    pub setup: Option<String>,
+    /// In which session, if in any.
+    pub session: Option<String>,
+}
+
+/// A pool of threads behind a fair queue: tenants take turns, and of one tenant the first comes first.
 #[derive(Debug)]
 pub struct ComputePool {
     threads: rayon::ThreadPool,
-    /// One permit for each call that may run.
-    running: Arc<Semaphore>,
-    /// One permit for each call that may run or wait.
-    admitted: Arc<Semaphore>,
+    queue: Arc<Queue>,
+}
+
+/// Who computes and who waits.
+#[derive(Debug)]
+struct Queue {
     limits: PoolLimits,
+    /// Places of one tenant at most.
+    of_tenant: usize,
+    state: Mutex<State>,
+}
+
+#[derive(Debug, Default)]
+struct State {
+    /// All that run or wait, by number of arrival.
+    places: BTreeMap<u64, Entry>,
+    arrivals: u64,
+    running: usize,
+    /// When each tenant was served last.
+    served: HashMap<Tenant, u64>,
+    turns: u64,
+}
+
+#[derive(Debug)]
+struct Entry {
+    task: Task,
+    arrival: Instant,
+    /// `None` once it runs.
+    call: Option<oneshot::Sender<()>>,
+    start: Option<Instant>,
+    stage: Option<(&'static str, f64)>,
+}
+
+/// A place in the queue, then among those that run; free when this is dropped.
+#[derive(Debug)]
+struct Place {
+    queue: Arc<Queue>,
+    number: u64,
+}
+
+/// What work on the pool is handed: whether it is still wanted, and where to tell how far it is.
+#[derive(Debug)]
+pub struct Ticket {
+    cancellation: Cancellation,
+    place: Place,
+}
+
+impl Ticket {
+    /// Whether anybody still waits for the work.
+    pub fn cancellation(&self) -> &Cancellation {
+        &self.cancellation
+    }
+
+    /// Tells those who watch how far the work is.
+    pub fn progress(&self, progress: &Progress) {
+        if let Some(entry) = self.place.queue.lock().places.get_mut(&self.place.number) {
+            entry.stage = Some((progress.stage, progress.fraction));
+        }
+    }
 }
 
 impl ComputePool {
-    /// Starts the threads.
+    /// Starts the threads. `of_tenant`: how many of one tenant may run and wait.
     ///
     /// # Errors
     /// If the operating system gives no threads.
-    pub fn new(limits: PoolLimits) -> Result<Self, rayon::ThreadPoolBuildError> {
+    pub fn new(limits: PoolLimits, of_tenant: usize) -> Result<Self, rayon::ThreadPoolBuildError> {
         let threads = rayon::ThreadPoolBuilder::new()
             .num_threads(limits.threads)
             .thread_name(|index| format!("compute-{index}"))
             .build()?;
-        let running = limits.running.max(1);
-        Ok(Self {
-            threads,
-            running: Arc::new(Semaphore::new(running)),
-            admitted: Arc::new(Semaphore::new(running + limits.queued)),
-            limits: PoolLimits { running, ..limits },
-        })
+        let limits = PoolLimits { running: limits.running.max(1), ..limits };
+        Ok(Self { threads, queue: Arc::new(Queue { limits, of_tenant, state: Mutex::default() }) })
     }
 
-    /// Runs `work` on the pool when its turn comes, first come first served. Dropping the future takes it out of the
-    /// queue or, once it runs, sets the flag given to it; its place is free when it has really ended.
+    /// Runs `work` on the pool when its turn comes. Dropping the future takes it out of the queue or, once it runs, sets
+    /// the flag given to it; its place is free when it has really ended.
     ///
     /// # Errors
-    /// `ResourceExhausted` if the queue is full, `Internal` if `work` panics, and what `work` returns.
+    /// `ResourceExhausted` if the queue or the tenant's share of it is full, `Internal` if `work` panics, and what `work`
+    /// returns.
     pub async fn run<T: Send + 'static>(
         &self,
-        work: impl FnOnce(&Cancellation) -> Result<T, ServiceError> + Send + 'static,
+        task: Task,
+        work: impl FnOnce(&Ticket) -> Result<T, ServiceError> + Send + 'static,
     ) -> Result<Completed<T>, ServiceError> {
         let arrival = Instant::now();
-        let place = Arc::clone(&self.admitted).try_acquire_owned().map_err(|_| self.full())?;
-        let turn = Arc::clone(&self.running).acquire_owned().await.map_err(|_| gone())?;
+        let (place, turn) = self.queue.enter(task)?;
+        turn.await.map_err(|_| gone())?;
 
         let interest = Interest::default();
-        let cancellation = interest.cancellation();
+        let ticket = Ticket { cancellation: interest.cancellation(), place };
         let (sender, receiver) = oneshot::channel();
         self.threads.spawn_fifo(move || {
             let start = Instant::now();
             // Nothing the closure may have left half done is used again: it owns what it changes.
-            let outcome = catch_unwind(AssertUnwindSafe(|| work(&cancellation))).unwrap_or_else(|panic| {
+            let outcome = catch_unwind(AssertUnwindSafe(|| work(&ticket))).unwrap_or_else(|panic| {
                 tracing::error!(panic = panic_text(&*panic), "engine call panicked");
                 Err(ServiceError::new(
                     Code::Internal,
@@ -95,7 +163,7 @@ impl ComputePool {
             });
             let completed =
                 outcome.map(|value| Completed { value, queued: start - arrival, ran: start.elapsed() });
-            drop((turn, place));
+            drop(ticket);
             // Nobody receives it if the caller has gone.
             let _ = sender.send(completed);
         });
@@ -106,22 +174,104 @@ impl ComputePool {
 
     /// How much computes at a time.
     pub fn limits(&self) -> PoolLimits {
-        self.limits
+        self.queue.limits
     }
 
     /// Engine calls that run or wait.
     pub fn load(&self) -> usize {
-        self.limits.running + self.limits.queued - self.admitted.available_permits()
+        self.queue.lock().places.len()
     }
 
-    fn full(&self) -> ServiceError {
-        let PoolLimits { running, queued, .. } = self.limits;
-        ServiceError::new(
-            Code::ResourceExhausted,
-            format!("the server computes {running} requests and {queued} more wait, which is its limit; try again later"),
-        )
-        .retry_after(Duration::from_secs(1))
+    /// What runs and waits, longest first: all, or one tenant's.
+    pub fn work(&self, of: Option<&Tenant>) -> Vec<Work> {
+        let state = self.queue.lock();
+        let entries = state.places.values().filter(|entry| of.is_none_or(|of| entry.task.tenant == *of));
+        let work = entries.map(|entry| Work {
+            kind: entry.task.kind,
+            tenant: entry.task.tenant.clone(),
+            setup: entry.task.setup.clone(),
+            session: entry.task.session.clone(),
+            age: entry.arrival.elapsed(),
+            running: entry.start.map(|start| start.elapsed()),
+            stage: entry.stage.map(|(stage, _)| stage),
+            fraction: entry.stage.map_or(0.0, |(_, fraction)| fraction),
+        });
+        work.collect()
     }
+}
+
+impl Queue {
+    /// Takes a place, and says when its turn is.
+    fn enter(self: &Arc<Self>, task: Task) -> Result<(Place, oneshot::Receiver<()>), ServiceError> {
+        let mut state = self.lock();
+        let PoolLimits { running, queued, .. } = self.limits;
+        if state.places.len() >= running + queued {
+            return Err(full(format!(
+                "the server computes {running} requests and {queued} more wait, which is its limit; try again later"
+            )));
+        }
+        let own = state.places.values().filter(|entry| entry.task.tenant == task.tenant).count();
+        if own >= self.of_tenant {
+            return Err(full(format!(
+                "{own} requests of yours compute or wait, which is the limit for one tenant; try again later"
+            )));
+        }
+        let (call, turn) = oneshot::channel();
+        let number = state.arrivals;
+        state.arrivals += 1;
+        let entry = Entry { task, arrival: Instant::now(), call: Some(call), start: None, stage: None };
+        state.places.insert(number, entry);
+        state.call(running);
+        drop(state);
+        Ok((Place { queue: Arc::clone(self), number }, turn))
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl State {
+    /// Calls those whose turn it is: of the tenant with the fewest that run, then of the one served longest ago.
+    fn call(&mut self, limit: usize) {
+        while self.running < limit {
+            let mut running: HashMap<&Tenant, usize> = HashMap::new();
+            for entry in self.places.values().filter(|entry| entry.start.is_some()) {
+                *running.entry(&entry.task.tenant).or_default() += 1;
+            }
+            let waiting = self.places.iter().filter(|(_, entry)| entry.start.is_none());
+            let next = waiting.min_by_key(|(number, entry)| {
+                let tenant = &entry.task.tenant;
+                let served = self.served.get(tenant).copied().unwrap_or_default();
+                (running.get(tenant).copied().unwrap_or_default(), served, **number)
+            });
+            let Some(number) = next.map(|(number, _)| *number) else { return };
+            let Some(entry) = self.places.get_mut(&number) else { return };
+            entry.start = Some(Instant::now());
+            self.running += 1;
+            self.turns += 1;
+            self.served.insert(entry.task.tenant.clone(), self.turns);
+            // One who has gone gives the place back when it is dropped.
+            let _ = entry.call.take().map(|call| call.send(()));
+        }
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        let mut state = self.queue.lock();
+        if state.places.remove(&self.number).is_some_and(|entry| entry.start.is_some()) {
+            state.running -= 1;
+        }
+        if state.places.is_empty() {
+            state.served.clear();
+        }
+        state.call(self.queue.limits.running);
+    }
+}
+
+fn full(message: String) -> ServiceError {
+    ServiceError::new(Code::ResourceExhausted, message).retry_after(Duration::from_secs(1))
 }
 
 fn gone() -> ServiceError {
@@ -143,16 +293,20 @@ mod tests {
     use super::*;
 
     fn pool(running: usize, queued: usize) -> Arc<ComputePool> {
-        Arc::new(ComputePool::new(PoolLimits { threads: 2, running, queued }).unwrap())
+        Arc::new(ComputePool::new(PoolLimits { threads: 2, running, queued }, usize::MAX).unwrap())
+    }
+
+    fn of(tenant: &str) -> Task {
+        Task { kind: "test", tenant: Tenant::new(tenant).unwrap(), setup: None, session: None }
     }
 
     #[tokio::test]
     async fn a_panic_is_an_internal_error_and_the_pool_goes_on() {
         let pool = pool(1, 0);
-        let error = pool.run::<()>(|_| panic!("a fault of the engine")).await.unwrap_err();
+        let error = pool.run::<()>(of("a"), |_| panic!("a fault of the engine")).await.unwrap_err();
         assert_eq!(error.code, Code::Internal);
         assert!(!error.message.contains("a fault of the engine"), "inner workings are logged, not sent");
-        assert_eq!(pool.run(|_| Ok(7)).await.unwrap().value, 7);
+        assert_eq!(pool.run(of("a"), |_| Ok(7)).await.unwrap().value, 7);
     }
 
     #[tokio::test]
@@ -160,7 +314,7 @@ mod tests {
         use rayon::prelude::*;
         let pool = pool(1, 0);
         let error = pool
-            .run(|_| {
+            .run(of("a"), |_| {
                 Ok((0..1000)
                     .into_par_iter()
                     .map(|i| if i == 500 { panic!("inside") } else { i })
@@ -178,16 +332,16 @@ mod tests {
         let (release, blocked) = mpsc::channel::<()>();
         let running = tokio::spawn({
             let pool = Arc::clone(&pool);
-            async move { pool.run(move |_| blocked.recv().map_err(|_| gone())).await }
+            async move { pool.run(of("a"), move |_| blocked.recv().map_err(|_| gone())).await }
         });
         let waiting = tokio::spawn({
             let pool = Arc::clone(&pool);
-            async move { pool.run(|_| Ok(())).await }
+            async move { pool.run(of("a"), |_| Ok(())).await }
         });
         while pool.load() < 2 {
             tokio::task::yield_now().await;
         }
-        let error = pool.run(|_| Ok(())).await.unwrap_err();
+        let error = pool.run(of("a"), |_| Ok(())).await.unwrap_err();
         assert_eq!(error.code, Code::ResourceExhausted);
         assert!(error.retry_after.is_some());
         release.send(()).unwrap();
@@ -203,9 +357,9 @@ mod tests {
         let running = tokio::spawn({
             let pool = Arc::clone(&pool);
             async move {
-                pool.run(move |cancellation| {
+                pool.run(of("a"), move |ticket| {
                     started.send(()).unwrap();
-                    while !cancellation.requested() {
+                    while !ticket.cancellation().requested() {
                         std::thread::yield_now();
                     }
                     Ok(())
@@ -217,7 +371,7 @@ mod tests {
         let ran = Arc::new(AtomicBool::new(false));
         let waiting = tokio::spawn({
             let (pool, ran) = (Arc::clone(&pool), Arc::clone(&ran));
-            async move { pool.run(move |_| Ok(ran.swap(true, Ordering::SeqCst))).await }
+            async move { pool.run(of("a"), move |_| Ok(ran.swap(true, Ordering::SeqCst))).await }
         });
         while pool.load() < 2 {
             tokio::task::yield_now().await;
@@ -229,5 +383,68 @@ mod tests {
             tokio::task::yield_now().await;
         }
         assert!(!ran.load(Ordering::SeqCst), "work taken out of the queue never starts");
+    }
+
+    #[tokio::test]
+    async fn tenants_take_turns_however_many_one_of_them_asks_for() {
+        let pool = pool(1, 16);
+        let (release, blocked) = mpsc::channel::<()>();
+        let running = tokio::spawn({
+            let pool = Arc::clone(&pool);
+            async move { pool.run(of("a"), move |_| blocked.recv().map_err(|_| gone())).await }
+        });
+        while pool.load() < 1 {
+            tokio::task::yield_now().await;
+        }
+        let order = Arc::new(Mutex::new(Vec::new()));
+        let mut all = Vec::new();
+        for (load, tenant) in (2..).zip(["a", "a", "a", "a", "b", "c", "b"]) {
+            let (pool_of, order) = (Arc::clone(&pool), Arc::clone(&order));
+            all.push(tokio::spawn(async move {
+                let work = move |_: &Ticket| {
+                    order.lock().unwrap().push(tenant);
+                    Ok(())
+                };
+                pool_of.run(of(tenant), work).await.unwrap();
+            }));
+            while pool.load() < load {
+                tokio::task::yield_now().await;
+            }
+        }
+        assert_eq!(pool.work(Some(&Tenant::new("b").unwrap())).len(), 2);
+        assert_eq!(pool.work(None).iter().filter(|work| work.running.is_some()).count(), 1);
+        release.send(()).unwrap();
+        running.await.unwrap().unwrap();
+        for one in all {
+            one.await.unwrap();
+        }
+        assert_eq!(*order.lock().unwrap(), ["b", "c", "a", "b", "a", "a", "a"]);
+    }
+
+    #[tokio::test]
+    async fn one_tenant_cannot_fill_the_queue() {
+        let limits = PoolLimits { threads: 1, running: 1, queued: 8 };
+        let pool = Arc::new(ComputePool::new(limits, 2).unwrap());
+        let (release, blocked) = mpsc::channel::<()>();
+        let mut all = vec![tokio::spawn({
+            let pool = Arc::clone(&pool);
+            async move { pool.run(of("a"), move |_| blocked.recv().map_err(|_| gone())).await.map(drop) }
+        })];
+        for (load, tenant) in [(1, "a"), (2, "b")] {
+            while pool.load() < load {
+                tokio::task::yield_now().await;
+            }
+            let pool = Arc::clone(&pool);
+            all.push(tokio::spawn(async move { pool.run(of(tenant), |_| Ok(())).await.map(drop) }));
+        }
+        while pool.load() < 3 {
+            tokio::task::yield_now().await;
+        }
+        let error = pool.run(of("a"), |_| Ok(())).await.unwrap_err();
+        assert_eq!(error.code, Code::ResourceExhausted);
+        release.send(()).unwrap();
+        for one in all {
+            one.await.unwrap().unwrap();
+        }
     }
 }

@@ -6,8 +6,22 @@ use moldline_deform::{DeformError, SetupError};
 use moldline_mesh::{MeshError, io::ReadError};
 use moldline_parameterisation::{DesignError, ParameterisationError};
 use moldline_setup::SetupFileError;
+use moldline_store::StoreError;
 
 use crate::error::{Code, ServiceError};
+
+impl From<StoreError> for ServiceError {
+    fn from(error: StoreError) -> Self {
+        const LATER: std::time::Duration = std::time::Duration::from_secs(1);
+        let text = error.to_string();
+        match error {
+            StoreError::Full { .. } => Self::new(Code::ResourceExhausted, text),
+            StoreError::Corrupt { .. } => Self::new(Code::Internal, text),
+            StoreError::ReadOnly { .. } | StoreError::Location { .. } => Self::new(Code::Unavailable, text),
+            StoreError::Unavailable { .. } => Self::new(Code::Unavailable, text).retry_after(LATER),
+        }
+    }
+}
 
 impl From<SetupFileError> for ServiceError {
     fn from(error: SetupFileError) -> Self {

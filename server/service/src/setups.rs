@@ -1,18 +1,25 @@
-//! Set-ups in memory, by the hash of their content.
+//! Set-ups by the hash of their content: in memory while they are used, in the store for good.
 
 use std::{
-    collections::BTreeMap,
     fmt,
-    sync::{Arc, Mutex, MutexGuard, PoisonError},
-    time::{Duration, SystemTime},
+    sync::Arc,
+    time::{Duration, Instant},
 };
 
-use moldline_deform::Setup;
+use moldline_deform::{Derived, Setup};
+use moldline_setup::{BUILD, decode_derived, encode_derived};
+use moldline_store::Store;
 
 use crate::{
-    access::{Access, Visibility},
+    cache::Cache,
     error::{Code, ServiceError},
+    flight::{Flights, Joined, Reports},
+    limits::Limits,
+    pool::{ComputePool, Task},
     principal::Tenant,
+    progress::{Progress, Reporter},
+    read::{self, Content},
+    status::CacheStatus,
 };
 
 /// Name of a set-up: the hash of its content in hexadecimal digits.
@@ -20,9 +27,15 @@ use crate::{
 pub struct SetupId(String);
 
 impl SetupId {
-    /// The name of what `hash` is the digest of.
-    pub fn new(hash: blake3::Hash) -> Self {
-        Self(hash.to_hex().to_string())
+    /// Of the digits.
+    pub(crate) fn new(digits: String) -> Self {
+        Self(digits)
+    }
+
+    /// Whether a caller's text can be the name of a set-up.
+    pub(crate) fn is_one(text: &str) -> bool {
+        text.len() == 2 * blake3::OUT_LEN
+            && text.bytes().all(|byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f'))
     }
 
     /// The digits.
@@ -59,104 +72,165 @@ impl StoredSetup {
     }
 }
 
-/// Who owns which set-up, and who else may use it.
-#[derive(Debug, Default)]
-pub struct Owners(Mutex<BTreeMap<(String, Tenant), (SystemTime, Visibility)>>);
-
-impl Owners {
-    /// Makes `owner` an owner; whether it is new to it. `visibility` replaces what was chosen before.
-    pub fn add(&self, id: &str, owner: &Tenant, visibility: Option<Visibility>) -> (Access, bool) {
-        let mut owners = self.lock();
-        let key = (id.to_owned(), owner.clone());
-        let new = !owners.contains_key(&key);
-        let entry = owners.entry(key).or_insert((SystemTime::now(), Visibility::Private));
-        if let Some(visibility) = visibility {
-            entry.1 = visibility;
-        }
-        (Access { owned: true, visibility: entry.1.clone() }, new)
-    }
-
-    /// No longer an owner; whether it was one.
-    pub fn remove(&self, id: &str, owner: &Tenant) -> bool {
-        self.lock().remove(&(id.to_owned(), owner.clone())).is_some()
-    }
-
-    /// What the set-up is to `tenant`, and since when; `None` if it may not use it.
-    pub fn access(&self, id: &str, tenant: &Tenant) -> Option<(SystemTime, Access)> {
-        let owners = self.lock();
-        if let Some((since, visibility)) = owners.get(&(id.to_owned(), tenant.clone())) {
-            return Some((*since, Access { owned: true, visibility: visibility.clone() }));
-        }
-        owners.iter().filter(|((of, _), _)| of == id).find_map(|(_, (since, visibility))| {
-            let visibility = match visibility {
-                Visibility::Private => return None,
-                Visibility::Tenants(tenants) if !tenants.contains(tenant) => return None,
-                Visibility::Tenants(_) => Visibility::Tenants([tenant.clone()].into()),
-                Visibility::Public => Visibility::Public,
-            };
-            Some((*since, Access { owned: false, visibility }))
-        })
-    }
-
-    fn lock(&self) -> MutexGuard<'_, BTreeMap<(String, Tenant), (SystemTime, Visibility)>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-/// All set-ups in memory, at most a given number.
+/// Set-ups in memory: built or loaded once however many ask, and held within a budget.
 #[derive(Debug)]
 pub struct Setups {
-    /// Least recently used first.
-    known: Mutex<Vec<Arc<StoredSetup>>>,
-    capacity: usize,
+    store: Store,
+    pool: Arc<ComputePool>,
+    limits: Limits,
+    held: Arc<Cache<String, StoredSetup>>,
+    flights: Flights<String, StoredSetup>,
 }
 
 impl Setups {
-    /// Keeps up to `capacity` set-ups.
-    pub fn new(capacity: usize) -> Self {
-        Self { known: Mutex::default(), capacity }
+    /// None in memory yet.
+    pub fn new(store: Store, pool: Arc<ComputePool>, limits: &Limits) -> Self {
+        let held = Arc::new(Cache::new(limits.setup_bytes, |setup: &StoredSetup| {
+            // Linearisations hold it too.
+            Arc::strong_count(&setup.engine) > 1
+        }));
+        Self { store, pool, limits: limits.clone(), held, flights: Flights::default() }
     }
 
-    /// The set-up of that name.
-    pub fn get(&self, id: &str) -> Option<Arc<StoredSetup>> {
-        let mut known = self.lock();
-        let position = known.iter().position(|setup| setup.id.as_str() == id)?;
-        let setup = known.remove(position);
-        known.push(Arc::clone(&setup));
-        Some(setup)
-    }
-
-    /// Makes room for one more by dropping the least recently used one that no session uses.
+    /// The set-up of what has been read, made now if it is not in memory.
     ///
     /// # Errors
-    /// `ResourceExhausted` if all are in use.
-    pub fn make_room(&self) -> Result<(), ServiceError> {
-        let mut known = self.lock();
-        while known.len() >= self.capacity {
-            // A use can only begin through `get`, which waits for the lock.
-            let Some(idle) = known.iter().position(|setup| Arc::strong_count(setup) == 1) else {
-                return Err(ServiceError::new(
-                    Code::ResourceExhausted,
-                    format!("{} set-ups are in use, which is the limit; close sessions", known.len()),
-                ));
-            };
-            let dropped = known.remove(idle);
-            tracing::info!(setup = %dropped.id, "dropped a set-up that no session uses");
+    /// As the engine has them, or if the pool is full.
+    pub async fn of_content(
+        &self,
+        tenant: &Tenant,
+        content: Content,
+        mut tell: impl FnMut(Progress),
+    ) -> Result<Arc<StoredSetup>, ServiceError> {
+        self.make_room()?;
+        let id = content.id.to_string();
+        let (store, pool, tenant) = (self.store.clone(), Arc::clone(&self.pool), tenant.clone());
+        let work = |reports: Reports<StoredSetup>| async move {
+            make(&store, &pool, tenant, content, reports).await
+        };
+        match self.flights.join(id.clone(), || self.held.get(&id), work, self.land(&id)) {
+            Joined::Found(setup) => {
+                // The same steps, whoever built it.
+                moldline_deform::Stage::OF_SETUP
+                    .iter()
+                    .for_each(|&stage| tell(Progress::of_stage(stage, 1.0)));
+                Ok(setup)
+            }
+            Joined::Following(follower) | Joined::Started(follower) => follower.land(tell).await,
         }
-        Ok(())
     }
 
-    /// All that are in memory.
-    pub fn all(&self) -> Vec<Arc<StoredSetup>> {
-        self.lock().clone()
+    /// The set-up of that name, loaded now if it is not in memory; `None` if the store has none.
+    ///
+    /// # Errors
+    /// If the store does not answer, its objects are damaged, or the pool is full.
+    pub async fn named(&self, tenant: &Tenant, id: &str) -> Result<Option<Arc<StoredSetup>>, ServiceError> {
+        if let Some(setup) = self.held.get(&id.to_owned()) {
+            return Ok(Some(setup));
+        }
+        self.make_room()?;
+        let Some(files) = self.store.setup(id).await? else { return Ok(None) };
+        let (store, pool) = (self.store.clone(), Arc::clone(&self.pool));
+        let (tenant, limits) = (tenant.clone(), self.limits.clone());
+        let task = Task { kind: "load", tenant: tenant.clone(), setup: Some(id.to_owned()), session: None };
+        let work = |reports: Reports<StoredSetup>| async move {
+            let content = pool.run(task, move |_| read::stored(files, &limits)).await?.value;
+            make(&store, &pool, tenant, content, reports).await
+        };
+        let key = id.to_owned();
+        match self.flights.join(key.clone(), || self.held.get(&key), work, self.land(id)) {
+            Joined::Found(setup) => Ok(Some(setup)),
+            Joined::Following(follower) | Joined::Started(follower) => follower.land(|_| {}).await.map(Some),
+        }
     }
 
-    /// Adds a set-up.
-    pub fn insert(&self, setup: Arc<StoredSetup>) {
-        self.lock().push(setup);
+    /// How full the memory for set-ups is.
+    pub fn status(&self) -> CacheStatus {
+        self.held.status()
     }
 
-    fn lock(&self) -> MutexGuard<'_, Vec<Arc<StoredSetup>>> {
-        self.known.lock().unwrap_or_else(PoisonError::into_inner)
+    /// Refuses another one while those in use fill the memory.
+    fn make_room(&self) -> Result<(), ServiceError> {
+        if self.held.shrink() {
+            return Ok(());
+        }
+        let CacheStatus { bytes, budget, .. } = self.held.status();
+        let message =
+            format!("set-ups in use have {bytes} bytes, and the limit is {budget}; try again later");
+        Err(ServiceError::new(Code::ResourceExhausted, message).retry_after(Duration::from_secs(1)))
+    }
+
+    fn land(&self, id: &str) -> impl FnOnce(&Arc<StoredSetup>) + Send + 'static {
+        let (held, id) = (Arc::clone(&self.held), id.to_owned());
+        move |setup| held.insert(id, "", Arc::clone(setup), setup.engine.bytes())
+    }
+}
+
+/// Builds a set-up; from what this build of the engine derived of it before, if that is stored, and stores it if not.
+async fn make(
+    store: &Store,
+    pool: &ComputePool,
+    tenant: Tenant,
+    content: Content,
+    reports: Reports<StoredSetup>,
+) -> Result<StoredSetup, ServiceError> {
+    let id = content.id.clone();
+    let stored = store.derived(id.as_str(), BUILD).await.unwrap_or_else(|error| {
+        tracing::warn!(%error, "building the set-up anew");
+        None
+    });
+    let task = Task { kind: "build", tenant, setup: Some(id.to_string()), session: None };
+    let (setup, derived) = pool
+        .run(task, move |ticket| {
+            let start = Instant::now();
+            let reporter = Reporter::new(ticket.cancellation().clone(), |progress| {
+                ticket.progress(&progress);
+                reports.tell(progress);
+            });
+            let Content { id, name, input, .. } = content;
+            let known = stored.and_then(|stored| Known::read(&stored));
+            let (engine, build_time, derived) = match known {
+                Some(Known { build_time, derived }) => {
+                    (Setup::restore(input, derived, &reporter)?, build_time, None)
+                }
+                None => {
+                    let engine = Setup::build(input, &reporter)?;
+                    let build_time = start.elapsed();
+                    let known = Known { build_time, derived: engine.derived() };
+                    (engine, build_time, Some(known.write()))
+                }
+            };
+            let functions = engine.reference_functions();
+            let verb = if derived.is_some() { "built a set-up" } else { "loaded a set-up" };
+            tracing::info!(setup = %id, seconds = start.elapsed().as_secs_f64(), "{verb}");
+            Ok((StoredSetup { id, name, engine: Arc::new(engine), functions, build_time }, derived))
+        })
+        .await?
+        .value;
+    if let Some(derived) = derived
+        && let Err(error) = store.put_derived(id.as_str(), BUILD, derived).await
+    {
+        // Only time is lost: it can be derived again.
+        tracing::warn!(%error, "cannot store what was derived of a set-up");
+    }
+    Ok(setup)
+}
+
+/// What is stored of a build.
+struct Known {
+    build_time: Duration,
+    derived: Derived,
+}
+
+impl Known {
+    fn read(bytes: &[u8]) -> Option<Self> {
+        let (nanoseconds, derived) = bytes.split_first_chunk::<8>()?;
+        let build_time = Duration::from_nanos(u64::from_le_bytes(*nanoseconds));
+        Some(Self { build_time, derived: decode_derived(derived)? })
+    }
+
+    fn write(self) -> Vec<u8> {
+        let nanoseconds = u64::try_from(self.build_time.as_nanos()).unwrap_or(u64::MAX);
+        [&nanoseconds.to_le_bytes()[..], &encode_derived(&self.derived)].concat()
     }
 }

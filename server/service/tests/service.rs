@@ -182,24 +182,6 @@ async fn bad_designs_are_refused_by_entry() {
 }
 
 #[tokio::test]
-async fn set_ups_beyond_the_limit_push_out_idle_ones_only() {
-    let service = service(1, Limits { setups: 2, ..Limits::default() });
-    let first = create(&service, "first").await.unwrap();
-    let second = create(&service, "second").await.unwrap();
-    let session = open(&service, &first).await;
-    create(&service, "third").await.unwrap();
-    assert!(service.get_setup(&local(), &first).await.is_ok(), "in use, though used least recently");
-    assert_eq!(service.get_setup(&local(), &second).await.unwrap_err().code, Code::NotFound);
-
-    let third = create(&service, "third").await.unwrap();
-    let other = open(&service, &third).await;
-    assert_eq!(create(&service, "fourth").await.unwrap_err().code, Code::ResourceExhausted);
-    service.close_session(&local(), &other).await.unwrap();
-    create(&service, "fourth").await.unwrap();
-    service.deform(&local(), &session, moved(0.5)).await.unwrap();
-}
-
-#[tokio::test]
 async fn sessions_have_a_limit_and_request_ids() {
     let service = service(1, Limits { sessions: 2, ..Limits::default() });
     let (setup, other) = (create(&service, "ball").await.unwrap(), create(&service, "other").await.unwrap());
@@ -288,57 +270,6 @@ async fn products_are_those_of_a_ball_that_moves() {
 }
 
 #[tokio::test]
-async fn a_session_keeps_what_it_used_last() {
-    let service = service(1, Limits { linearisations: 2, ..Limits::default() });
-    let setup = create(&service, "ball").await.unwrap();
-    let session = open(&service, &setup).await;
-    let mut ids = Vec::new();
-    for x in [0.1, 0.2] {
-        ids.push(service.deform(&local(), &session, moved(x)).await.unwrap().id().to_owned());
-    }
-    let caller = local();
-    let product = |id: &str| service.jvp(&caller, &session, At::id(id), along(1.0));
-    let before = product(&ids[0]).await.unwrap().value;
-    service.deform(&local(), &session, moved(0.3)).await.unwrap();
-    assert_eq!(product(&ids[0]).await.unwrap().value, before, "used after the second one");
-    let error = product(&ids[1]).await.unwrap_err();
-    assert_eq!((error.code, error.violations[0].field.as_str()), (Code::NotFound, "at.linearisation_id"));
-    assert!(service.jvp(&local(), &session, At::design(moved(0.2)), along(1.0)).await.is_ok());
-    assert!(product(&ids[1]).await.is_ok(), "it was made again, and is kept");
-
-    let other = open(&service, &setup).await;
-    let error = service.jvp(&local(), &other, At::id(ids[1].clone()), along(1.0)).await.unwrap_err();
-    assert_eq!(error.code, Code::NotFound, "another session's");
-    service.close_session(&local(), &session).await.unwrap();
-    assert_eq!(product(&ids[1]).await.unwrap_err().violations[0].field, "session_id");
-}
-
-#[tokio::test]
-async fn all_sessions_together_keep_so_many_bytes() {
-    let unbounded = service(1, Limits::default());
-    let session = open(&unbounded, &create(&unbounded, "ball").await.unwrap()).await;
-    let bytes = unbounded.deform(&local(), &session, moved(0.1)).await.unwrap().bytes();
-
-    let service = service(1, Limits { linearisation_bytes: 2 * bytes + bytes / 2, ..Limits::default() });
-    let setup = create(&service, "ball").await.unwrap();
-    let sessions = [open(&service, &setup).await, open(&service, &setup).await];
-    let first = service.deform(&local(), &sessions[0], moved(0.1)).await.unwrap().id().to_owned();
-    let second = service.deform(&local(), &sessions[1], moved(0.2)).await.unwrap().id().to_owned();
-    let kept = async |session: usize, id: &str| {
-        service.linearised(&local(), &sessions[session], At::id(id)).await.is_ok()
-    };
-    assert!(kept(0, &first).await);
-    let third = service.deform(&local(), &sessions[1], moved(0.3)).await.unwrap().id().to_owned();
-    assert!(kept(0, &first).await);
-    assert!(!kept(1, &second).await, "used least recently of all");
-    assert!(kept(1, &third).await);
-    // What is let go of with a session makes room.
-    service.close_session(&local(), &sessions[0]).await.unwrap();
-    let fourth = service.deform(&local(), &sessions[1], moved(0.4)).await.unwrap().id().to_owned();
-    assert!(kept(1, &third).await && kept(1, &fourth).await);
-}
-
-#[tokio::test]
 async fn products_at_the_same_design_share_one_linearisation() {
     let service = Arc::new(service(2, Limits::default()));
     let session = open(&service, &create(&service, "ball").await.unwrap()).await;
@@ -367,4 +298,77 @@ async fn a_block_of_the_jacobian_and_the_vectors_of_a_request_have_limits() {
     assert_eq!((error.code, error.violations[0].field.as_str()), (Code::InvalidArgument, "design.shape[0]"));
     assert!(error.message.contains('3') && error.message.contains("1..=2"));
     assert_eq!(service.load(), 0, "refused before any work");
+}
+
+#[tokio::test]
+async fn set_ups_beyond_the_budget_are_loaded_again_with_the_same_bits() {
+    let unbounded = service(1, Limits::default());
+    let bytes = engine(&unbounded, &create(&unbounded, "first").await.unwrap()).await.bytes();
+
+    let service =
+        service(1, Limits { setup_bytes: bytes + bytes / 2, linearisation_bytes: 0, ..Limits::default() });
+    let first = create(&service, "first").await.unwrap();
+    let session = open(&service, &first).await;
+    let before = service.deform(&local(), &session, moved(0.5)).await.unwrap();
+    let (vertices, id) = (before.deformation().vertices.clone(), before.id().to_owned());
+    let second = create(&service, "second").await.unwrap();
+    let other = service.get_setup(&local(), &second).await.unwrap();
+    assert_eq!(service.status(&local()).await.unwrap().setups_resident, 2, "both are in use");
+    let error = create(&service, "third").await.unwrap_err();
+    assert_eq!(error.code, Code::ResourceExhausted);
+    drop((before, other));
+    let elsewhere = open(&service, &second).await;
+    service.deform(&local(), &elsewhere, moved(0.1)).await.unwrap();
+    create(&service, "third").await.unwrap();
+    let cache = service.status(&local()).await.unwrap().setup_cache;
+    assert_eq!((cache.entries, cache.evictions), (2, 1), "the second one is held by its linearisation");
+    assert!(service.get_setup(&local(), &second).await.is_ok());
+    // The session has lost nothing: its set-up and the linearisation are made again.
+    let seeds = || first_x(vertices.len());
+    let wanted = Wanted { design: true, control_points: Vec::new() };
+    let error = service.vjp(&local(), &session, At::id(&id), seeds(), wanted.clone()).await.unwrap_err();
+    assert_eq!((error.code, error.violations[0].field.as_str()), (Code::NotFound, "at.linearisation_id"));
+    let at = At { id: Some(id), design: Some(moved(0.5)) };
+    assert!(service.vjp(&local(), &session, at, seeds(), wanted).await.is_ok());
+    let after = service.deform(&local(), &session, moved(0.5)).await.unwrap();
+    assert_eq!(after.deformation().vertices, vertices);
+}
+
+#[tokio::test]
+async fn linearisations_are_shared_by_a_tenants_sessions_and_made_again_with_the_same_bits() {
+    let unbounded = service(1, Limits::default());
+    let session = open(&unbounded, &create(&unbounded, "ball").await.unwrap()).await;
+    let bytes = unbounded.deform(&local(), &session, moved(0.1)).await.unwrap().bytes();
+
+    let service = service(1, Limits { linearisation_bytes: 2 * bytes + bytes / 2, ..Limits::default() });
+    let setup = create(&service, "ball").await.unwrap();
+    let sessions = [open(&service, &setup).await, open(&service, &setup).await];
+    let caller = local();
+    let mut ids = Vec::new();
+    for x in [0.1, 0.2] {
+        ids.push(service.deform(&caller, &sessions[0], moved(x)).await.unwrap().id().to_owned());
+    }
+    let product = |session: usize, at: At| service.jvp(&caller, &sessions[session], at, along(1.0));
+    let before = product(0, At::id(&ids[0])).await.unwrap().value;
+    assert_eq!(product(1, At::id(&ids[0])).await.unwrap().value, before, "of the same tenant and set-up");
+    service.deform(&caller, &sessions[1], moved(0.3)).await.unwrap();
+    let error = product(0, At::id(&ids[1])).await.unwrap_err();
+    assert_eq!((error.code, error.violations[0].field.as_str()), (Code::NotFound, "at.linearisation_id"));
+    let both = At { id: Some(ids[1].clone()), design: Some(moved(0.2)) };
+    let again = product(0, both).await.unwrap().value;
+    assert_eq!(again, product(1, At::id(&ids[1])).await.unwrap().value, "it is held again");
+    let wrong = At { id: Some(ids[1].clone()), design: Some(moved(0.25)) };
+    let error = product(0, wrong).await.unwrap_err();
+    assert_eq!(
+        (error.code, error.violations[0].field.as_str()),
+        (Code::InvalidArgument, "at.linearisation_id")
+    );
+    let error = product(0, At::default()).await.unwrap_err();
+    assert_eq!((error.code, error.violations[0].field.as_str()), (Code::InvalidArgument, "at"));
+
+    let other = open(&service, &create(&service, "another").await.unwrap()).await;
+    let error = service.jvp(&caller, &other, At::id(&ids[1]), along(1.0)).await.unwrap_err();
+    assert_eq!(error.code, Code::NotFound, "of another set-up");
+    service.close_session(&caller, &sessions[0]).await.unwrap();
+    assert_eq!(product(0, At::id(&ids[1])).await.unwrap_err().violations[0].field, "session_id");
 }

@@ -5,9 +5,12 @@
 //! field: `components[1].patches[0].knots_u[7] = NaN is not finite`. The [`document`] module is the format itself;
 //! its JSON Schema is published as `docs/setup.schema.json`.
 //!
+//! What the engine derived from a set-up goes to bytes and back by [`encode_derived`] and [`decode_derived`].
+//!
 //! Only [`read_folder`] touches the disk. Nothing here trusts a count, a path or a size before it is checked.
 
 mod convert;
+mod derived;
 pub mod document;
 mod error;
 mod files;
@@ -18,6 +21,7 @@ mod report;
 mod schema;
 
 pub use convert::{SetupContent, read_setup};
+pub use derived::{BUILD, decode_derived, encode_derived};
 pub use error::SetupFileError;
 pub use files::{ArchiveKind, Files, Limits, read_folder, unpack};
 pub use options::{OptionsDocument, SeamDocument, SmoothingDocument};

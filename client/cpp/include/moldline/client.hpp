@@ -177,7 +177,7 @@ class Setup {
 
 /// Work on one set-up, apart from all other sessions.
 ///
-/// The server keeps it, with the design that was stored last, until it is closed or the server ends: an optimizer stores
+/// The server keeps it, with the design that was stored last, over restarts and until it is closed: an optimizer stores
 /// where it has got to (`update`), and goes on from there (`Client::resume`) when it was interrupted itself. The end of this
 /// object does not close it; `close` or a `SessionCloser` does.
 class Session {
@@ -189,8 +189,8 @@ class Session {
   const SessionState& state() const { return state_; }
   const std::string& id() const { return state_.id; }
 
-  /// Stores the session's design, label or both. Throws `Aborted` if the session has been updated elsewhere since: `refresh` reads
-  /// what is there now.
+  /// Stores the session's design, label or both. When it returns, it is durable. Throws `Aborted` if the session has been
+  /// updated elsewhere since: `refresh` reads what is there now.
   void update(const SessionUpdate& update, const CallOptions& options = {});
   /// Reads `state` from the server again.
   void refresh(const CallOptions& options = {});

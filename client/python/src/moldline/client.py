@@ -247,7 +247,7 @@ class Setup(SetupFacts):
 class Session(SessionFacts):
     """Work on one set-up, apart from all other sessions.
 
-    The server keeps it, with the design that was stored last, until it is closed or the server ends: an optimizer stores
+    The server keeps it, with the design that was stored last, over restarts and until it is closed: an optimizer stores
     where it has got to (:meth:`update`), and goes on from there (:meth:`resume`) when it was interrupted itself.
     """
 
@@ -269,7 +269,7 @@ class Session(SessionFacts):
         label: str | None = None,
         timeout: float | None = None,
     ) -> None:
-        """Stores the session's design, label or both; what is `None` stays as it was.
+        """Stores the session's design, label or both; what is `None` stays as it was. When it returns, it is durable.
 
         Raises :class:`Aborted` if the session has been updated elsewhere since: :meth:`refresh` reads what is there now.
         """

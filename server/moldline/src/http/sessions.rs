@@ -59,7 +59,7 @@ impl Http {
 
 /// Opens a session on a set-up
 ///
-/// It lasts, with its design, until it is closed or the server ends, whatever becomes of its client.
+/// It lasts, with its design, until it is closed: any server of the same store can go on with it.
 #[utoipa::path(
     post, path = "/v1/setups/{setup_id}/sessions", operation_id = "OpenSession", tag = "sessions",
     params(

@@ -1,0 +1,98 @@
+//! Why the store does not do what it is asked to.
+
+use std::{error::Error, io};
+
+/// Why the store does not do what it is asked to. What it holds is intact, except where `Corrupt` says so.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum StoreError {
+    /// No space.
+    #[error("the store has no space left for {object}: {reason}")]
+    Full {
+        /// What was to be written.
+        object: String,
+        /// In the words of the system.
+        reason: String,
+    },
+    /// No right to write.
+    #[error("the store cannot be written to, {object} is not stored: {reason}")]
+    ReadOnly {
+        /// What was to be written.
+        object: String,
+        /// In the words of the system.
+        reason: String,
+    },
+    /// Bytes that are not those that were written.
+    #[error("{object} in the store is damaged: {reason}")]
+    Corrupt {
+        /// Which.
+        object: String,
+        /// How that is known.
+        reason: String,
+    },
+    /// Anything else: a network that does not answer, say.
+    #[error("the store does not answer for {object}: {reason}")]
+    Unavailable {
+        /// What was asked for.
+        object: String,
+        /// In the words of the system.
+        reason: String,
+    },
+    /// It cannot be opened.
+    #[error("cannot open the store {location}: {reason}")]
+    Location {
+        /// As given.
+        location: String,
+        /// Why.
+        reason: String,
+    },
+}
+
+impl StoreError {
+    pub(crate) fn corrupt(object: impl Into<String>, reason: impl Into<String>) -> Self {
+        Self::Corrupt { object: object.into(), reason: reason.into() }
+    }
+
+    /// By the class of the system's error below.
+    pub(crate) fn of(object: &str, error: &object_store::Error) -> Self {
+        let innermost = chain(error).last().map(ToString::to_string).unwrap_or_default();
+        let (object, reason) = (object.to_owned(), innermost);
+        match io_kind(error) {
+            Some(io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded | io::ErrorKind::FileTooLarge) => {
+                Self::Full { object, reason }
+            }
+            Some(io::ErrorKind::ReadOnlyFilesystem | io::ErrorKind::PermissionDenied) => {
+                Self::ReadOnly { object, reason }
+            }
+            _ => Self::Unavailable { object, reason: error.to_string() },
+        }
+    }
+}
+
+/// An error and what is below it, outermost first.
+fn chain<'e>(error: &'e (dyn Error + 'static)) -> impl Iterator<Item = &'e (dyn Error + 'static)> {
+    std::iter::successors(Some(error), |&error| error.source())
+}
+
+fn io_kind(error: &(dyn Error + 'static)) -> Option<io::ErrorKind> {
+    chain(error).filter_map(|error| error.downcast_ref::<io::Error>()).map(io::Error::kind).last()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn errors_of_the_system_are_told_apart_however_deep_they_lie() {
+        let of = |kind: io::ErrorKind| {
+            let inner =
+                object_store::Error::Generic { store: "test", source: Box::new(io::Error::from(kind)) };
+            let error = object_store::Error::Generic { store: "test", source: Box::new(inner) };
+            StoreError::of("blob/x", &error)
+        };
+        assert!(matches!(of(io::ErrorKind::StorageFull), StoreError::Full { .. }));
+        assert!(matches!(of(io::ErrorKind::QuotaExceeded), StoreError::Full { .. }));
+        assert!(matches!(of(io::ErrorKind::ReadOnlyFilesystem), StoreError::ReadOnly { .. }));
+        assert!(matches!(of(io::ErrorKind::PermissionDenied), StoreError::ReadOnly { .. }));
+        assert!(matches!(of(io::ErrorKind::TimedOut), StoreError::Unavailable { .. }));
+    }
+}

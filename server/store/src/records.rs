@@ -1,0 +1,232 @@
+//! What is written, and how a reader knows that it is what was written.
+
+use std::time::SystemTime;
+
+use bytes::Bytes;
+use serde::{Deserialize, Serialize, de::DeserializeOwned};
+
+use crate::error::StoreError;
+
+/// The files of a set-up: that which describes it first, then what it refers to by path.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Manifest {
+    /// In the order of their paths, but for the first.
+    pub files: Vec<ManifestEntry>,
+}
+
+/// A file of a set-up.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ManifestEntry {
+    /// Relative, with `/` between parts.
+    pub path: String,
+    /// blake3 of its content, in hexadecimal digits.
+    pub hash: String,
+    /// Bytes.
+    pub size: u64,
+}
+
+impl Manifest {
+    /// Of paths and contents, the file that describes the set-up first.
+    pub fn of<'f>(files: impl IntoIterator<Item = (&'f str, &'f [u8])>) -> Self {
+        let entry = |(path, content): (&str, &[u8])| ManifestEntry {
+            path: path.to_owned(),
+            hash: blake3::hash(content).to_hex().to_string(),
+            size: content.len() as u64,
+        };
+        let mut files: Vec<ManifestEntry> = files.into_iter().map(entry).collect();
+        if let Some((_described, others)) = files.split_first_mut() {
+            others.sort_by(|a, b| a.path.cmp(&b.path));
+        }
+        Self { files }
+    }
+
+    /// The name of what a set-up consists of, in hexadecimal digits. Whether it came in an archive and what else was
+    /// uploaded do not matter.
+    pub fn id(&self) -> String {
+        // Grows with every change of meaning of the format.
+        let mut hasher = blake3::Hasher::new_derive_key("moldline set-up, format 1");
+        for ManifestEntry { path, hash, .. } in &self.files {
+            hasher.update(&(path.len() as u64).to_le_bytes());
+            hasher.update(path.as_bytes());
+            hasher.update(hash.as_bytes());
+        }
+        hasher.finalize().to_hex().to_string()
+    }
+
+    /// Of all files.
+    pub fn bytes(&self) -> u64 {
+        self.files.iter().map(|file| file.size).sum()
+    }
+}
+
+/// Who may use a set-up besides its owner.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Shared {
+    /// Nobody.
+    Private,
+    /// These tenants.
+    Tenants(Vec<String>),
+    /// All.
+    Public,
+}
+
+/// That a tenant has uploaded a set-up.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct AccessRecord {
+    /// `false` once it has been given up.
+    pub owned: bool,
+    /// Who else may use it.
+    pub shared: Shared,
+    /// The user's title.
+    pub name: String,
+    /// Of its mesh.
+    pub vertices: u64,
+    /// Of its mesh.
+    pub cells: u64,
+    /// Design variables.
+    pub variables: u64,
+    /// Of its files.
+    pub bytes: u64,
+    /// When the tenant uploaded it first.
+    pub created: SystemTime,
+}
+
+/// A session.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SessionRecord {
+    /// Name of its set-up.
+    pub setup: String,
+    /// Values of all variables.
+    pub design: Numbers,
+    /// Control points that were given: component and coordinates.
+    pub control_points: Vec<(String, Numbers)>,
+    /// For people.
+    pub label: String,
+    /// When it was opened.
+    pub created: SystemTime,
+    /// When this generation was written.
+    pub updated: SystemTime,
+    /// The request that wrote it; may be empty.
+    pub request: String,
+}
+
+/// Numbers that keep every bit: 16 hexadecimal digits each.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub struct Numbers(pub Vec<f64>);
+
+impl From<Numbers> for String {
+    fn from(Numbers(values): Numbers) -> Self {
+        values.iter().map(|value| format!("{:016x}", value.to_bits())).collect()
+    }
+}
+
+impl TryFrom<String> for Numbers {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, String> {
+        let (groups, rest) = text.as_bytes().as_chunks::<16>();
+        if !rest.is_empty() {
+            return Err(format!("{} digits are no multiple of 16", text.len()));
+        }
+        let number = |digits: &[u8; 16]| {
+            let digits = str::from_utf8(digits).map_err(|error| error.to_string())?;
+            u64::from_str_radix(digits, 16).map(f64::from_bits).map_err(|error| error.to_string())
+        };
+        groups.iter().map(number).collect::<Result<_, _>>().map(Self)
+    }
+}
+
+/// A record with the hash of what follows in its first line.
+pub(crate) fn seal(record: &impl Serialize) -> Result<Bytes, StoreError> {
+    let body = serde_json::to_vec(record).map_err(|error| StoreError::Unavailable {
+        object: "a record".to_owned(),
+        reason: error.to_string(),
+    })?;
+    let mut sealed = blake3::hash(&body).to_hex().to_string().into_bytes();
+    sealed.push(b'\n');
+    sealed.extend(body);
+    Ok(sealed.into())
+}
+
+pub(crate) fn unseal<T: DeserializeOwned>(object: &str, sealed: &[u8]) -> Result<T, StoreError> {
+    const DIGITS: usize = 2 * blake3::OUT_LEN;
+    let corrupt = |reason: String| StoreError::corrupt(object, reason);
+    if sealed.get(DIGITS) != Some(&b'\n') {
+        return Err(corrupt(format!("{} bytes do not begin with a hash", sealed.len())));
+    }
+    let (hash, body) = (&sealed[..DIGITS], &sealed[DIGITS + 1..]);
+    if blake3::hash(body).to_hex().as_bytes() != hash {
+        return Err(corrupt("its hash is not that of its content".to_owned()));
+    }
+    serde_json::from_slice(body).map_err(|error| corrupt(error.to_string()))
+}
+
+/// Bytes with their hash behind them.
+pub(crate) fn seal_bytes(mut data: Vec<u8>) -> Bytes {
+    let hash = blake3::hash(&data);
+    data.extend_from_slice(hash.as_bytes());
+    data.into()
+}
+
+pub(crate) fn unseal_bytes(object: &str, sealed: Bytes) -> Result<Bytes, StoreError> {
+    let Some(length) = sealed.len().checked_sub(blake3::OUT_LEN) else {
+        return Err(StoreError::corrupt(object, format!("{} bytes are too few", sealed.len())));
+    };
+    if blake3::hash(&sealed[..length]).as_bytes()[..] != sealed[length..] {
+        return Err(StoreError::corrupt(object, "its hash is not that of its content"));
+    }
+    Ok(sealed.slice(..length))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_keep_every_bit() {
+        let values = [0.1, -0.0, f64::MIN_POSITIVE / 8.0, 1e308, f64::INFINITY];
+        let text = serde_json::to_string(&Numbers(values.to_vec())).unwrap();
+        let back: Numbers = serde_json::from_str(&text).unwrap();
+        assert_eq!(back.0.map_bits(), values.to_vec().map_bits());
+        assert!(serde_json::from_str::<Numbers>("\"3ff\"").is_err());
+        assert!(serde_json::from_str::<Numbers>("\"3ff000000000000g\"").is_err());
+    }
+
+    trait Bits {
+        fn map_bits(&self) -> Vec<u64>;
+    }
+
+    impl Bits for Vec<f64> {
+        fn map_bits(&self) -> Vec<u64> {
+            self.iter().map(|value| value.to_bits()).collect()
+        }
+    }
+
+    #[test]
+    fn every_flipped_bit_of_a_record_is_noticed() {
+        let sealed = seal(&Shared::Tenants(vec!["a".to_owned()])).unwrap();
+        assert_eq!(unseal::<Shared>("x", &sealed).unwrap(), Shared::Tenants(vec!["a".to_owned()]));
+        for bit in 0..8 * sealed.len() {
+            let mut damaged = sealed.to_vec();
+            damaged[bit / 8] ^= 1 << (bit % 8);
+            assert!(matches!(unseal::<Shared>("x", &damaged), Err(StoreError::Corrupt { .. })), "bit {bit}");
+        }
+        for length in 0..sealed.len() {
+            assert!(unseal::<Shared>("x", &sealed[..length]).is_err(), "length {length}");
+        }
+    }
+
+    #[test]
+    fn a_set_up_is_named_by_what_is_used_and_by_nothing_else() {
+        let id = |files: &[(&str, &str)]| Manifest::of(files.iter().map(|(p, c)| (*p, c.as_bytes()))).id();
+        let reference = id(&[("setup.toml", "s"), ("mesh.msh", "m"), ("wing.json", "w")]);
+        assert_eq!(id(&[("setup.toml", "s"), ("wing.json", "w"), ("mesh.msh", "m")]), reference);
+        assert_ne!(id(&[("setup.toml", "s"), ("mesh.msh", "m")]), reference);
+        assert_ne!(id(&[("mesh.msh", "m"), ("setup.toml", "s"), ("wing.json", "w")]), reference);
+        assert_ne!(id(&[("setup.toml", "s"), ("mesh.msh", "M"), ("wing.json", "w")]), reference);
+        // Bytes cannot wander from one file to the next.
+        assert_ne!(id(&[("a", "xy"), ("b", "")]), id(&[("a", "x"), ("b", "y")]));
+    }
+}

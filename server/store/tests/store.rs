@@ -1,0 +1,302 @@
+//! The store in memory and on a real folder: races, damage, crashes, full disks.
+#![allow(clippy::unwrap_used, reason = "helpers of tests are tests")]
+
+use std::{
+    collections::BTreeSet,
+    fs,
+    io::{BufRead, BufReader, Write},
+    path::{Path, PathBuf},
+    process::{Command, Stdio},
+    time::{Duration, SystemTime},
+};
+
+use moldline_store::{AccessRecord, Claim, Numbers, SessionRecord, Shared, Store, StoreError};
+
+fn files(content: &str) -> Vec<(String, Vec<u8>)> {
+    let big: Vec<u8> = content.bytes().cycle().take(100_000).collect();
+    vec![("setup.toml".to_owned(), content.as_bytes().to_vec()), ("mesh.msh".to_owned(), big)]
+}
+
+fn access(shared: Shared) -> AccessRecord {
+    AccessRecord {
+        owned: true,
+        shared,
+        name: "a set-up".to_owned(),
+        vertices: 1,
+        cells: 2,
+        variables: 3,
+        bytes: 4,
+        created: SystemTime::UNIX_EPOCH,
+    }
+}
+
+fn session(setup: &str, x: f64) -> SessionRecord {
+    SessionRecord {
+        setup: setup.to_owned(),
+        design: Numbers(vec![x]),
+        control_points: Vec::new(),
+        label: String::new(),
+        created: SystemTime::UNIX_EPOCH,
+        updated: SystemTime::UNIX_EPOCH,
+        request: String::new(),
+    }
+}
+
+async fn folder() -> (tempfile::TempDir, Store) {
+    let folder = tempfile::tempdir().unwrap();
+    let store = Store::open(folder.path().to_str().unwrap()).await.unwrap();
+    (folder, store)
+}
+
+/// A set-up with all that can be stored of it.
+async fn filled(store: &Store) -> String {
+    let id = store.put_setup(&files("content")).await.unwrap();
+    store.put_derived(&id, "build", vec![7; 1000]).await.unwrap();
+    store.put_access("a", &id, 1, &access(Shared::Public)).await.unwrap();
+    store.put_session("a", "s", 1, &session(&id, 0.5)).await.unwrap();
+    store.claim("a", "request", "hash").await.unwrap();
+    id
+}
+
+#[tokio::test]
+async fn what_is_stored_is_found_by_all_who_open_the_place() {
+    let (folder, store) = folder().await;
+    let id = filled(&store).await;
+    for store in [&store, &Store::open(folder.path().to_str().unwrap()).await.unwrap()] {
+        let found = store.setup(&id).await.unwrap().unwrap();
+        let found: Vec<(String, Vec<u8>)> =
+            found.into_iter().map(|(path, data)| (path, data.to_vec())).collect();
+        assert_eq!(found, files("content"));
+        assert_eq!(store.derived(&id, "build").await.unwrap().unwrap(), vec![7; 1000]);
+        assert_eq!(store.derived(&id, "another").await.unwrap(), None);
+        assert_eq!(store.session("a", "s").await.unwrap().unwrap().record, session(&id, 0.5));
+        assert_eq!(store.session("b", "s").await.unwrap(), None);
+        assert_eq!(store.granted("b", &id).await.unwrap().unwrap(), access(Shared::Public));
+        assert_eq!(store.claim("a", "request", "hash").await.unwrap(), Claim::Repeated);
+        assert_eq!(store.claim("a", "request", "other").await.unwrap(), Claim::Taken);
+        assert_eq!(store.claim("b", "request", "other").await.unwrap(), Claim::New);
+        assert_eq!(store.verify().await.unwrap().faults, []);
+        assert!(store.collect(Duration::ZERO, true).await.unwrap().objects.is_empty());
+        fs::remove_dir_all(folder.path().join("request/b")).unwrap();
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn of_many_who_create_the_same_generation_one_wins() {
+    let (_folder, on_disk) = folder().await;
+    for store in [Store::in_memory(), on_disk] {
+        for number in 1..=20 {
+            let tries = (0..16).map(|k| {
+                let store = store.clone();
+                tokio::spawn(async move {
+                    let record = session("setup", f64::from(k));
+                    store.put_session("a", "s", number, &record).await.unwrap().then_some(record)
+                })
+            });
+            let mut winners = Vec::new();
+            for one in tries.collect::<Vec<_>>() {
+                winners.extend(one.await.unwrap());
+            }
+            assert_eq!(winners.len(), 1, "generation {number}");
+            let latest = store.session("a", "s").await.unwrap().unwrap();
+            assert_eq!((latest.number, &latest.record), (number, &winners[0]));
+        }
+    }
+}
+
+/// All files of a folder.
+fn objects(folder: &Path) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    for entry in fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() { found.extend(objects(&path)) } else { found.push(path) }
+    }
+    found.sort();
+    found
+}
+
+#[tokio::test]
+async fn flipped_bits_and_cut_files_are_found_and_named() {
+    let (folder, store) = folder().await;
+    let id = filled(&store).await;
+    let mut kinds = BTreeSet::new();
+    for path in objects(folder.path()) {
+        let name = path.strip_prefix(folder.path()).unwrap().to_str().unwrap().to_owned();
+        let kind = name.split('/').next().unwrap().to_owned();
+        // The former says what the folder is, the latter nothing at all.
+        if kind == "format" || kind == "grant" {
+            continue;
+        }
+        let whole = fs::read(&path).unwrap();
+        let mut flipped = whole.clone();
+        flipped[whole.len() / 2] ^= 4;
+        for damaged in [flipped, whole[..whole.len() / 2].to_vec(), Vec::new()] {
+            fs::write(&path, &damaged).unwrap();
+            let faults = store.verify().await.unwrap().faults;
+            assert!(faults.iter().any(|fault| fault.to_string().contains(&name)), "{name}: {faults:?}");
+            let error = match kind.as_str() {
+                "blob" | "setup" => store.setup(&id).await.map(drop),
+                "derived" => store.derived(&id, "build").await.map(drop),
+                "access" => store.access("a", &id).await.map(drop),
+                "session" => store.session("a", "s").await.map(drop),
+                "request" => store.claim("a", "request", "hash").await.map(drop),
+                other => panic!("{other}"),
+            };
+            let Err(StoreError::Corrupt { object, .. }) = error else { panic!("{name}: {error:?}") };
+            assert_eq!(object, name);
+        }
+        fs::write(&path, whole).unwrap();
+        kinds.insert(kind);
+    }
+    assert_eq!(kinds.len(), 6);
+    assert_eq!(store.verify().await.unwrap().faults, []);
+    // The same content again mends a set-up.
+    for path in objects(&folder.path().join("blob")) {
+        fs::write(path, b"damaged").unwrap();
+    }
+    store.put_setup(&files("content")).await.unwrap();
+    assert_eq!(store.verify().await.unwrap().faults, []);
+    fs::remove_dir_all(folder.path().join("blob")).unwrap();
+    assert_eq!(store.verify().await.unwrap().faults.len(), 1);
+    assert!(store.setup(&id).await.unwrap_err().to_string().contains("missing"));
+}
+
+#[tokio::test]
+async fn a_collection_removes_what_nobody_can_reach_and_old_enough() {
+    let (folder, store) = folder().await;
+    let id = filled(&store).await;
+    let other = store.put_setup(&files("of nobody")).await.unwrap();
+    for number in 2..=4 {
+        store.put_session("a", "s", number, &session(&id, 0.0)).await.unwrap();
+    }
+    store.put_session("a", "t", 1, &session(&other, 0.0)).await.unwrap();
+    store.close_session("a", "t").await.unwrap();
+    fs::write(folder.path().join("blob").join("staged#1"), b"half").unwrap();
+    assert!(store.collect(Duration::from_secs(60), false).await.unwrap().objects.is_empty(), "all is young");
+    let planned = store.collect(Duration::ZERO, true).await.unwrap();
+    assert!(store.setup(&other).await.unwrap().is_some(), "nothing was removed");
+    let collected = store.collect(Duration::ZERO, false).await.unwrap();
+    assert_eq!(collected, planned);
+    let gone = |what: &str| collected.objects.iter().filter(|name| name.starts_with(what)).count();
+    assert_eq!((gone("blob/"), gone("setup/"), gone("session/a/t/"), gone("session/a/s/")), (3, 1, 2, 2));
+    assert_eq!(collected.objects.len(), 8);
+    assert_eq!(store.setup(&other).await.unwrap(), None);
+    assert!(store.setup(&id).await.unwrap().is_some());
+    assert_eq!(store.session("a", "s").await.unwrap().unwrap().number, 4);
+    assert_eq!(store.verify().await.unwrap().faults, []);
+    assert!(store.collect(Duration::ZERO, false).await.unwrap().objects.is_empty());
+}
+
+const PLACE: &str = "MOLDLINE_TEST_STORE";
+
+/// The same test binary as another process that runs one test only.
+fn child(test: &str, place: &Path, shell: &str) -> Command {
+    let mut command = Command::new("sh");
+    let binary = std::env::current_exe().unwrap();
+    command.arg("-c").arg(format!("{shell} exec \"$0\" --exact {test} --nocapture")).arg(binary);
+    command.env(PLACE, place).stdout(Stdio::piped()).stderr(Stdio::null());
+    command
+}
+
+/// Not a test of its own: the process that is killed. Says what has been acknowledged.
+#[tokio::test]
+async fn a_process_that_writes() {
+    let Ok(place) = std::env::var(PLACE) else { return };
+    let store = Store::open(&place).await.unwrap();
+    let start = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap().as_nanos();
+    for k in 0_u64.. {
+        let content = format!("{start}-{k}");
+        let id = store.put_setup(&files(&content)).await.unwrap();
+        store.put_derived(&id, "build", vec![1; 300_000]).await.unwrap();
+        assert!(store.put_access("a", &id, 1, &access(Shared::Private)).await.unwrap());
+        println!("\nsetup {id} {content}");
+        let number = store.session("a", "s").await.unwrap().map_or(1, |latest| latest.number + 1);
+        if store.put_session("a", "s", number, &session(&id, k as f64)).await.unwrap() {
+            println!("\nsession {number} {id} {k}");
+        }
+        std::io::stdout().flush().unwrap();
+    }
+}
+
+#[tokio::test]
+async fn what_was_acknowledged_survives_kill_9_and_what_was_half_written_is_never_seen() {
+    let (folder, store) = folder().await;
+    let mut acknowledged = 0;
+    for round in 0..6 {
+        let mut children: Vec<_> =
+            (0..2).map(|_| child("a_process_that_writes", folder.path(), "").spawn().unwrap()).collect();
+        std::thread::sleep(Duration::from_millis(300 + 70 * round));
+        children.iter_mut().for_each(|child| child.kill().unwrap());
+        for mut child in children {
+            child.wait().unwrap();
+            // A line that was cut was not acknowledged.
+            let mut output = Vec::new();
+            let mut reader = BufReader::new(child.stdout.take().unwrap());
+            while reader.read_until(b'\n', &mut output).unwrap() > 0 {}
+            let text = String::from_utf8(output).unwrap();
+            let end = text.rfind('\n').map_or(0, |end| end + 1);
+            for line in text[..end].lines() {
+                match line.split(' ').collect::<Vec<_>>()[..] {
+                    ["setup", id, content] => {
+                        let found = store.setup(id).await.unwrap().unwrap();
+                        assert_eq!(found[0].1, content.as_bytes());
+                        assert!(store.access("a", id).await.unwrap().is_some());
+                        acknowledged += 1;
+                    }
+                    ["session", number, id, k] => {
+                        let found = store.session_at("a", "s", number.parse().unwrap()).await.unwrap();
+                        assert_eq!(found.unwrap(), session(id, k.parse().unwrap()));
+                    }
+                    _ => {}
+                }
+            }
+        }
+        assert_eq!(store.verify().await.unwrap().faults, [], "round {round}");
+    }
+    assert!(acknowledged > 0);
+    let sessions = store.session("a", "s").await.unwrap().unwrap().number;
+    store.collect(Duration::ZERO, false).await.unwrap();
+    assert!(objects(folder.path()).iter().all(|path| !path.to_str().unwrap().contains('#')), "left-overs");
+    assert_eq!(store.session("a", "s").await.unwrap().unwrap().number, sessions);
+    assert_eq!(store.verify().await.unwrap().faults, []);
+}
+
+/// Not a test of its own: a process that may write small files only, as on a full disk.
+#[tokio::test]
+async fn a_process_without_space() {
+    let Ok(place) = std::env::var(PLACE) else { return };
+    let store = Store::open(&place).await.unwrap();
+    let error = store.put_setup(&files("too large")).await.unwrap_err();
+    assert!(matches!(error, StoreError::Full { .. }), "{error:?}");
+    let id = store.put_setup(&[("setup.toml".to_owned(), b"small".to_vec())]).await.unwrap();
+    assert!(store.setup(&id).await.unwrap().is_some(), "it goes on");
+    println!("\nfull: {error}");
+}
+
+#[cfg(unix)]
+#[tokio::test]
+async fn a_full_disk_is_said_and_leaves_nothing_behind() {
+    let (folder, store) = folder().await;
+    let id = filled(&store).await;
+    // Writing beyond the limit then fails as on a full disk, instead of ending the process.
+    let limited =
+        child("a_process_without_space", folder.path(), "trap '' XFSZ; ulimit -f 16;").output().unwrap();
+    let text = String::from_utf8(limited.stdout).unwrap();
+    assert!(limited.status.success() && text.contains("no space left for blob/"), "{text}");
+    assert!(objects(folder.path()).iter().all(|path| !path.to_str().unwrap().contains('#')));
+    assert_eq!(store.verify().await.unwrap().faults, []);
+    assert!(store.setup(&id).await.unwrap().is_some());
+}
+
+#[tokio::test]
+async fn places_that_are_none_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("file");
+    fs::write(&file, b"").unwrap();
+    for place in [file.to_str().unwrap(), "ftp://host/x"] {
+        let error = Store::open(place).await.unwrap_err();
+        assert!(matches!(&error, StoreError::Location { location, .. } if location == place), "{error:?}");
+    }
+    fs::write(folder.path().join("format"), b"something else").unwrap();
+    assert!(Store::open(folder.path().to_str().unwrap()).await.is_err());
+}

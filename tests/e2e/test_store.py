@@ -1,0 +1,81 @@
+"""What is left after the server is killed, and what another one does with it."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import grpc
+import numpy as np
+import pytest
+from moldline import arrays
+from moldline.v1 import mesh_service_pb2 as wire
+from moldline.v1 import mesh_service_pb2_grpc
+from server import Server
+
+Stub = mesh_service_pb2_grpc.MeshServiceStub
+
+
+@contextmanager
+def stub(server: Server) -> Iterator[Stub]:
+    with grpc.insecure_channel(server.address, [("grpc.max_receive_message_length", -1)]) as channel:
+        yield Stub(channel)
+
+
+def update(meshes: Stub, session: wire.Session, design: np.ndarray) -> wire.Session:
+    request = wire.UpdateSessionRequest(session_id=session.session_id, expected_generation=session.generation)
+    request.design.design.CopyFrom(arrays.to_wire(design))
+    return meshes.UpdateSession(request, timeout=60).session
+
+
+def deform(meshes: Stub, session: wire.Session) -> wire.DeformResponse:
+    request = wire.DeformRequest(session_id=session.session_id, design=session.design.design)
+    return meshes.Deform(request, timeout=60)
+
+
+def test_a_session_goes_on_after_kill_9(binary: Path, setup_folder: Path, tmp_path: Path) -> None:
+    store = tmp_path / "store"
+    with Server(binary, store=store) as server, server.client() as client, stub(server) as meshes:
+        setup = client.create_setup(setup_folder)
+        opened = meshes.OpenSession(wire.OpenSessionRequest(setup_id=setup.id, label="run 7"), timeout=60).session
+        stored = update(meshes, opened, setup.baseline + 0.1)
+        before = deform(meshes, stored)
+        server.process.kill()
+        server.process.wait()
+    # Two servers at once on what is left.
+    with Server(binary, store=store) as one, Server(binary, store=store) as two:
+        for server in (one, two):
+            with stub(server) as meshes:
+                found = meshes.GetSession(wire.GetSessionRequest(session_id=opened.session_id), timeout=60).session
+                assert found == stored
+                after = deform(meshes, found)
+                assert after.vertices == before.vertices
+                assert after.linearisation_id == before.linearisation_id
+                assert any("loaded a set-up" in line for line in server.log), "it was not built again"
+        with stub(one) as meshes:
+            update(meshes, stored, setup.baseline)
+        with stub(two) as meshes, pytest.raises(grpc.RpcError) as lost:
+            update(meshes, stored, setup.baseline)
+        assert lost.value.code() == grpc.StatusCode.ABORTED
+
+
+def test_gc_says_what_it_would_remove_and_verify_finds_damage(binary: Path, setup_folder: Path, tmp_path: Path) -> None:
+    store = tmp_path / "store"
+
+    def run(*options: str) -> subprocess.CompletedProcess[str]:
+        command = [str(binary), "store", *options, "--store", str(store)]
+        return subprocess.run(command, capture_output=True, text=True, timeout=60)
+
+    with Server(binary, store=store) as server, server.client() as client:
+        client.create_setup(setup_folder).session().close()
+    plan = run("gc", "--dry-run", "--grace", "0s")
+    assert plan.returncode == 0 and "would remove 2 objects" in plan.stdout and "session/local/" in plan.stdout
+    assert "removed 0 objects" in run("gc").stdout, "all is younger than the grace period"
+    assert "removed 2 objects" in run("gc", "--grace", "0s").stdout
+    assert run("verify").returncode == 0
+    blob = next((store / "blob").iterdir())
+    blob.write_bytes(blob.read_bytes()[:-1])
+    damaged = run("verify")
+    assert damaged.returncode == 1 and blob.name in damaged.stdout
