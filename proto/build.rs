@@ -6,8 +6,12 @@ use prost::Message;
 use prost_types::{FileDescriptorSet, field_descriptor_proto::Type};
 use tonic_prost_build::Builder;
 
-const FILES: [&str; 3] =
-    ["moldline/v1/array.proto", "moldline/v1/quality.proto", "moldline/v1/mesh_service.proto"];
+const FILES: [&str; 4] = [
+    "moldline/v1/array.proto",
+    "moldline/v1/quality.proto",
+    "moldline/v1/mesh_service.proto",
+    "moldline/v1/panel_service.proto",
+];
 
 fn main() -> Result<(), Box<dyn Error>> {
     println!("cargo::rerun-if-changed=moldline");
@@ -27,7 +31,7 @@ fn json(mut builder: Builder, descriptors: &FileDescriptorSet) -> Builder {
     const DERIVE: &str = "#[derive(serde::Serialize, utoipa::ToSchema)]";
     const WORDS: &str = "#[serde(rename_all = \"snake_case\")]";
     // These may be infinite, which JSON writes as null.
-    const INFINITE: [&str; 9] = [
+    const INFINITE: [&str; 10] = [
         "Variable",
         "QualitySummary",
         "Distribution",
@@ -37,6 +41,7 @@ fn json(mut builder: Builder, descriptors: &FileDescriptorSet) -> Builder {
         "DotProductError",
         "StepError",
         "DifferenceError",
+        "FlowCoefficients",
     ];
     for file in descriptors.file.iter().filter(|file| file.package() == "moldline.v1") {
         for named in &file.enum_type {

@@ -14,12 +14,17 @@ import moldline
 
 
 class Server:
-    """A running `moldline serve` on a free port of the loopback interface; its store ends with it if none is named."""
+    """A running `moldline serve` on a free port of the loopback interface; its store ends with it if none is named.
 
-    def __init__(self, binary: Path, *options: str, store: Path | str = "memory") -> None:
+    `command`: what is run in its place.
+    """
+
+    def __init__(
+        self, binary: Path, *options: str, store: Path | str = "memory", command: tuple[str, ...] | None = None
+    ) -> None:
         listen = [] if "--listen" in options else ["--listen", "127.0.0.1:0"]
-        command = [str(binary), "serve", *listen, "--store", str(store), *options]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        arguments = [str(binary), *(command or ("serve", "--store", str(store))), *listen, *options]
+        self.process = subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         self.log: list[str] = []
         self._reader = threading.Thread(target=self._read_log, daemon=True)
         self._reader.start()

@@ -26,7 +26,7 @@ def stub(server: Server) -> Iterator[Stub]:
 
 def update(meshes: Stub, session: wire.Session, design: np.ndarray) -> wire.Session:
     request = wire.UpdateSessionRequest(session_id=session.session_id, expected_generation=session.generation)
-    request.design.design.CopyFrom(arrays.to_wire(design))
+    arrays.write(design, request.design.design)
     return meshes.UpdateSession(request, timeout=60).session
 
 

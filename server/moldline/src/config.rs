@@ -23,6 +23,9 @@ pub struct Cli {
 pub enum Command {
     /// Serve set-ups and sessions over gRPC and HTTP
     Serve(Serve),
+    /// Analyse the flow over a mesh with the panel method
+    #[command(subcommand)]
+    Panel(Panel),
     /// Show what a server does and holds
     Status(Status),
     /// Make, list and revoke the tokens that a server asks for
@@ -137,12 +140,9 @@ pub struct Listen {
     pub drain_timeout: f64,
 }
 
-/// Options of `moldline serve`.
+/// How much a service computes at a time.
 #[derive(Debug, Args)]
-pub struct Serve {
-    /// The port.
-    #[command(flatten)]
-    pub listen: Listen,
+pub struct Compute {
     /// Threads that compute; results do not depend on it [default: one a core]
     #[arg(long, env = "MOLDLINE_THREADS")]
     pub threads: Option<NonZeroUsize>,
@@ -152,9 +152,32 @@ pub struct Serve {
     /// Requests that wait for their turn; more are turned away
     #[arg(long, env = "MOLDLINE_QUEUED", default_value_t = 64)]
     pub queued: usize,
+    /// Requests of one tenant that compute and wait
+    #[arg(long, env = "MOLDLINE_TENANT_LOAD", default_value_t = 64)]
+    pub tenant_load: usize,
     /// Largest message received, MiB
     #[arg(long, env = "MOLDLINE_MAX_MESSAGE", default_value_t = 64, value_name = "MIB")]
     pub max_message: usize,
+}
+
+impl Compute {
+    /// The compute pool's size.
+    pub fn pool(&self) -> PoolLimits {
+        let threads = threads(self.threads);
+        let running = self.running.map_or(threads, NonZeroUsize::get);
+        PoolLimits { threads, running, queued: self.queued }
+    }
+}
+
+/// Options of `moldline serve`.
+#[derive(Debug, Args)]
+pub struct Serve {
+    /// The port.
+    #[command(flatten)]
+    pub listen: Listen,
+    /// The compute pool.
+    #[command(flatten)]
+    pub compute: Compute,
     /// Largest upload, MiB
     #[arg(long, env = "MOLDLINE_MAX_UPLOAD", default_value_t = 256, value_name = "MIB")]
     pub max_upload: u64,
@@ -171,9 +194,6 @@ pub struct Serve {
     /// Size of one tenant's set-ups in the store, MiB
     #[arg(long, env = "MOLDLINE_MAX_STORED", default_value_t = 65536, value_name = "MIB")]
     pub max_stored: u64,
-    /// Requests of one tenant that compute and wait
-    #[arg(long, env = "MOLDLINE_TENANT_LOAD", default_value_t = 64)]
-    pub tenant_load: usize,
     /// Memory of set-ups, MiB; those used least recently are dropped, and loaded again when they are needed
     #[arg(long, env = "MOLDLINE_SETUP_MEMORY", default_value_t = 4096, value_name = "MIB")]
     pub setup_memory: usize,
@@ -195,18 +215,11 @@ impl Serve {
             setups: self.max_setups,
             sessions: self.max_sessions,
             stored_bytes: self.max_stored.saturating_mul(1 << 20),
-            load: self.tenant_load,
+            load: self.compute.tenant_load,
             setup_bytes: self.setup_memory.saturating_mul(1 << 20),
             linearisation_bytes: self.linearisation_memory.saturating_mul(1 << 20),
             ..Limits::default()
         }
-    }
-
-    /// The compute pool's size.
-    pub fn pool(&self) -> PoolLimits {
-        let threads = threads(self.threads);
-        let running = self.running.map_or(threads, NonZeroUsize::get);
-        PoolLimits { threads, running, queued: self.queued }
     }
 }
 
@@ -362,6 +375,130 @@ pub struct Check {
     /// Folder to draw the errors against the step of the differences in, a PNG for each design
     #[arg(long, value_name = "FOLDER")]
     pub plots: Option<PathBuf>,
+}
+
+/// What the panel method can do.
+#[derive(Debug, Subcommand)]
+pub enum Panel {
+    /// Serve analyses and their derivatives over gRPC and HTTP
+    Serve(PanelServe),
+    /// Analyse the flow over a mesh on this machine
+    Analyze(PanelAnalyze),
+}
+
+/// Options of `moldline panel serve`.
+#[derive(Debug, Args)]
+pub struct PanelServe {
+    /// The port.
+    #[command(flatten)]
+    pub listen: Listen,
+    /// The compute pool.
+    #[command(flatten)]
+    pub compute: Compute,
+    /// Memory of all analyses, those that are computed included, MiB; one that needs more is refused
+    #[arg(long, env = "MOLDLINE_ANALYSIS_MEMORY", default_value_t = 4096, value_name = "MIB")]
+    pub analysis_memory: u64,
+    /// Memory of all configurations, MiB
+    #[arg(long, env = "MOLDLINE_CONFIGURATION_MEMORY", default_value_t = 512, value_name = "MIB")]
+    pub configuration_memory: u64,
+}
+
+impl PanelServe {
+    /// The service's limits.
+    pub fn limits(&self) -> moldline_panel_service::Limits {
+        moldline_panel_service::Limits {
+            solution_bytes: self.analysis_memory.saturating_mul(1 << 20),
+            configuration_bytes: self.configuration_memory.saturating_mul(1 << 20),
+            ..Default::default()
+        }
+    }
+}
+
+/// Options of `moldline panel analyze`.
+#[derive(Debug, Args)]
+pub struct PanelAnalyze {
+    /// Mesh: .msh, .vtu or .stl
+    pub mesh: PathBuf,
+    /// Mach number
+    #[arg(long, default_value_t = 0.0)]
+    pub mach: f64,
+    /// Angles of attack, degrees
+    #[arg(long, value_delimiter = ',', default_value = "0", allow_hyphen_values = true)]
+    pub alpha: Vec<f64>,
+    /// Sideslip, degrees
+    #[arg(long, default_value_t = 0.0, allow_hyphen_values = true)]
+    pub sideslip: f64,
+    /// Reference area, m^2
+    #[arg(long)]
+    pub area: f64,
+    /// Reference chord of the pitching moment, m
+    #[arg(long)]
+    pub chord: f64,
+    /// Reference span of rolling and yawing moment, m
+    #[arg(long)]
+    pub span: f64,
+    /// Reference point of moments, m
+    #[arg(long, value_name = "X,Y,Z", value_parser = point, default_value = "0,0,0", allow_hyphen_values = true)]
+    pub point: [f64; 3],
+    /// Vertex group of a trailing edge; several times for several
+    #[arg(long, value_name = "GROUP", conflicts_with_all = ["trailing_edge_angle", "no_trailing_edges"])]
+    pub trailing_edge: Vec<String>,
+    /// Trailing edges are where the surface turns by so many degrees
+    #[arg(long, value_name = "DEGREES", default_value_t = 120.0)]
+    pub trailing_edge_angle: f64,
+    /// A body without lift
+    #[arg(long, conflicts_with = "trailing_edge_angle")]
+    pub no_trailing_edges: bool,
+    /// The plane y = 0
+    #[arg(long, default_value = "automatic")]
+    pub symmetry: Symmetry,
+    /// How the system is solved
+    #[arg(long, default_value = "automatic")]
+    pub solver: Solver,
+    /// Memory that may be taken, MiB
+    #[arg(long, default_value_t = 4096, value_name = "MIB")]
+    pub memory: u64,
+    /// Threads that compute; results do not depend on it [default: one a core]
+    #[arg(long, env = "MOLDLINE_THREADS")]
+    pub threads: Option<NonZeroUsize>,
+    /// VTU file to write, with the pressure coefficients at every angle
+    #[arg(long, short, value_name = "FILE")]
+    pub output: Option<PathBuf>,
+    /// JSON file to write all coefficients and loads to
+    #[arg(long, value_name = "FILE")]
+    pub report: Option<PathBuf>,
+}
+
+/// The plane y = 0.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum Symmetry {
+    /// As the mesh is
+    Automatic,
+    /// Every cell is solved
+    None,
+    /// The mesh is one half
+    Half,
+    /// The mesh has both halves, one is solved
+    Mirror,
+}
+
+/// How the system is solved.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum Solver {
+    /// By its size
+    Automatic,
+    /// LU in double precision
+    Double,
+    /// LU in single precision, refined
+    Single,
+    /// GMRES
+    Iterative,
+}
+
+fn point(text: &str) -> Result<[f64; 3], String> {
+    let numbers: Result<Vec<f64>, _> = text.split(',').map(|number| number.trim().parse()).collect();
+    let numbers = numbers.map_err(|error| format!("{error}"))?;
+    numbers.try_into().map_err(|_| "expected X,Y,Z".to_owned())
 }
 
 /// Options of `moldline schema`.

@@ -297,12 +297,7 @@ pub fn design_point(
     let control_points = control_points.into_iter().map(|v1::ControlPoints { component, points }| {
         let field = format!("{prefix}control_points[\"{component}\"]");
         let array = points.ok_or_else(|| ServiceError::invalid(&field, "has no points"))?;
-        let [_, columns] = shape(&field, &array)?;
-        if columns != 3 {
-            return Err(ServiceError::invalid(format!("{field}.shape[1]"), format!("{columns} is not 3")));
-        }
-        check_float64(&field, &array)?;
-        Ok((component, of_points(&array.data)))
+        Ok((component, positions(&field, &array)?))
     });
     Ok(Design { values, control_points: control_points.collect::<Result<_, ServiceError>>()? })
 }
@@ -435,7 +430,7 @@ fn distribution(&Distribution { p50, p95, p99, max, above_5_percent }: &Distribu
     v1::Distribution { p50, p95, p99, max, above_5_percent }
 }
 
-fn points(points: &[[f64; 3]]) -> v1::Array {
+pub fn points(points: &[[f64; 3]]) -> v1::Array {
     numbers(&[points.len(), 3], [points.as_flattened()])
 }
 
@@ -452,31 +447,71 @@ pub fn numbers<'a>(shape: &[usize], parts: impl IntoIterator<Item = &'a [f64]>) 
     array(DataType::Float64, shape, data)
 }
 
-fn array(dtype: DataType, shape: &[usize], data: Vec<u8>) -> v1::Array {
+pub fn array(dtype: DataType, shape: &[usize], data: Vec<u8>) -> v1::Array {
     let shape = shape.iter().map(|&extent| extent as u64).collect();
     v1::Array { dtype: dtype.into(), shape, data: data.into() }
 }
 
 /// The extents, if there are `N` of them and the data have as many elements.
-fn shape<const N: usize>(field: &str, array: &v1::Array) -> Result<[u64; N], ServiceError> {
-    const BYTES: u64 = size_of::<f64>() as u64;
+pub fn shape<const N: usize>(field: &str, array: &v1::Array) -> Result<[u64; N], ServiceError> {
+    extents(field, array, size_of::<f64>() as u64)
+}
+
+/// The same for elements of any size.
+fn extents<const N: usize>(field: &str, array: &v1::Array, element: u64) -> Result<[u64; N], ServiceError> {
     let shape: [u64; N] = array.shape.as_slice().try_into().map_err(|_| {
         let found = array.shape.len();
         ServiceError::invalid(format!("{field}.shape"), format!("{found} dimensions, expected {N}"))
     })?;
-    let bytes = shape.iter().try_fold(BYTES, |bytes, &extent| bytes.checked_mul(extent));
+    let bytes = shape.iter().try_fold(element, |bytes, &extent| bytes.checked_mul(extent));
     if bytes != Some(array.data.len() as u64) {
         return Err(ServiceError::invalid(
             format!("{field}.data"),
-            format!("{} bytes do not fill the shape {shape:?} of 8-byte elements", array.data.len()),
+            format!("{} bytes do not fill the shape {shape:?} of {element}-byte elements", array.data.len()),
         ));
     }
     Ok(shape)
 }
 
+/// Rows of `C` indices each.
+pub fn index_rows<const C: usize>(field: &str, array: &v1::Array) -> Result<Vec<[u32; C]>, ServiceError> {
+    let [_, columns] = extents(field, array, size_of::<u32>() as u64)?;
+    if columns != C as u64 {
+        return Err(ServiceError::invalid(format!("{field}.shape[1]"), format!("{columns} is not {C}")));
+    }
+    let flat = of_indices(field, array)?;
+    Ok(flat.as_chunks::<C>().0.to_vec())
+}
+
+/// A list of indices.
+pub fn indices(field: &str, array: &v1::Array) -> Result<Vec<u32>, ServiceError> {
+    let [_] = extents(field, array, size_of::<u32>() as u64)?;
+    of_indices(field, array)
+}
+
+fn of_indices(field: &str, array: &v1::Array) -> Result<Vec<u32>, ServiceError> {
+    if array.dtype() != DataType::Uint32 {
+        return Err(ServiceError::invalid(
+            format!("{field}.dtype"),
+            format!("{} is not DATA_TYPE_UINT32", array.dtype().as_str_name()),
+        ));
+    }
+    Ok(array.data.as_chunks::<4>().0.iter().map(|bytes| u32::from_le_bytes(*bytes)).collect())
+}
+
+/// Positions: (n, 3).
+pub fn positions(field: &str, array: &v1::Array) -> Result<Vec<[f64; 3]>, ServiceError> {
+    let [_, columns] = shape(field, array)?;
+    if columns != 3 {
+        return Err(ServiceError::invalid(format!("{field}.shape[1]"), format!("{columns} is not 3")));
+    }
+    check_float64(field, array)?;
+    Ok(of_points(&array.data))
+}
+
 /// # Errors
 /// `InvalidArgument` for elements of another type.
-fn check_float64(field: &str, array: &v1::Array) -> Result<(), ServiceError> {
+pub fn check_float64(field: &str, array: &v1::Array) -> Result<(), ServiceError> {
     if array.dtype() != DataType::Float64 {
         return Err(ServiceError::invalid(
             format!("{field}.dtype"),
@@ -487,7 +522,7 @@ fn check_float64(field: &str, array: &v1::Array) -> Result<(), ServiceError> {
 }
 
 /// Little-endian numbers of any alignment, one by one or in points.
-fn elements<T: bytemuck::Pod>(bytes: &[u8], swap: impl Fn(&mut T)) -> Vec<T> {
+pub fn elements<T: bytemuck::Pod>(bytes: &[u8], swap: impl Fn(&mut T)) -> Vec<T> {
     let mut elements = vec![T::zeroed(); bytes.len() / size_of::<T>()];
     let filled = size_of_val(&elements[..]);
     bytemuck::cast_slice_mut(&mut elements).copy_from_slice(&bytes[..filled]);
@@ -497,30 +532,30 @@ fn elements<T: bytemuck::Pod>(bytes: &[u8], swap: impl Fn(&mut T)) -> Vec<T> {
     elements
 }
 
-fn of_numbers(bytes: &[u8]) -> Vec<f64> {
+pub fn of_numbers(bytes: &[u8]) -> Vec<f64> {
     elements(bytes, |number: &mut f64| *number = f64::from_bits(number.to_bits().swap_bytes()))
 }
 
-fn of_points(bytes: &[u8]) -> Vec<[f64; 3]> {
+pub fn of_points(bytes: &[u8]) -> Vec<[f64; 3]> {
     elements(bytes, |point: &mut [f64; 3]| {
         point.iter_mut().for_each(|number| *number = f64::from_bits(number.to_bits().swap_bytes()));
     })
 }
 
-fn float64(field: &str, array: &v1::Array) -> Result<Vec<f64>, ServiceError> {
+pub fn float64(field: &str, array: &v1::Array) -> Result<Vec<f64>, ServiceError> {
     check_float64(field, array)?;
     Ok(of_numbers(&array.data))
 }
 
 /// Vectors of numbers: (k, length).
-fn vectors(field: &str, array: &v1::Array) -> Result<Vec<Vec<f64>>, ServiceError> {
+pub fn vectors(field: &str, array: &v1::Array) -> Result<Vec<Vec<f64>>, ServiceError> {
     let [_, length] = filled(field, array)?;
     check_float64(field, array)?;
     Ok(array.data.chunks_exact(size_of::<f64>() * length).map(of_numbers).collect())
 }
 
 /// Vectors of points: (k, length, 3).
-fn point_vectors(field: &str, array: &v1::Array) -> Result<Vec<Vec<[f64; 3]>>, ServiceError> {
+pub fn point_vectors(field: &str, array: &v1::Array) -> Result<Vec<Vec<[f64; 3]>>, ServiceError> {
     let [_, length, columns] = filled(field, array)?;
     if columns != 3 {
         return Err(ServiceError::invalid(format!("{field}.shape[2]"), format!("{columns} is not 3")));

@@ -14,6 +14,7 @@ mod grpc;
 mod http;
 mod local;
 mod mesh;
+mod panel;
 mod plot;
 mod serve;
 mod shell;
@@ -26,13 +27,15 @@ mod telemetry;
 mod testing;
 mod token;
 
-use config::{Cli, Command};
+use config::{Cli, Command, Panel};
 
 fn main() -> ExitCode {
     let cli = Cli::parse();
     let _traces = telemetry::start(&cli.telemetry);
     let outcome = match cli.command {
         Command::Serve(options) => serve::run(&options),
+        Command::Panel(Panel::Serve(options)) => panel::serve::run(&options),
+        Command::Panel(Panel::Analyze(options)) => panel::local::analyze(&options),
         Command::Status(options) => status::run(&options).map_err(Into::into),
         Command::Token(options) => token::run(&options).map_err(Into::into),
         Command::Deform(options) => local::deform(&options),

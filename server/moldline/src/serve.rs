@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use metrics::{counter, gauge};
-use moldline_service::{Principal, Service, Store};
+use moldline_service::{CacheStatus, Principal, Service, Store};
 use moldline_transport::{Gauges, Served};
 
 use crate::{
@@ -18,7 +18,7 @@ pub fn run(options: &Serve) -> Result<(), crate::local::Failure> {
     let runtime = shell::runtime()?;
     let outcome = runtime.block_on(async {
         let store = Store::open(&options.store).await?;
-        let service = Service::with_store(store, options.pool(), options.limits())?;
+        let service = Service::with_store(store, options.compute.pool(), options.limits())?;
         serve(options, Arc::new(service)).await
     });
     runtime.shutdown_background();
@@ -26,7 +26,7 @@ pub fn run(options: &Serve) -> Result<(), crate::local::Failure> {
 }
 
 async fn serve(options: &Serve, service: Arc<Service>) -> Result<(), ServeError> {
-    let pool = options.pool();
+    let pool = options.compute.pool();
     tracing::info!(
         threads = pool.threads,
         running = pool.running,
@@ -37,7 +37,7 @@ async fn serve(options: &Serve, service: Arc<Service>) -> Result<(), ServeError>
     if options.store == "memory" {
         tracing::warn!("set-ups and sessions end with this server");
     }
-    shell::serve(&options.listen, parts(service, options.max_message << 20).await?).await
+    shell::serve(&options.listen, parts(service, options.compute.max_message << 20).await?).await
 }
 
 /// The mesh service as the shell takes it.
@@ -73,12 +73,16 @@ fn tell(status: &moldline_service::Status) {
     gauge!("moldline_setups_resident").set(status.setups_resident as f64);
     gauge!("moldline_setups_stored").set(status.setups_stored as f64);
     gauge!("moldline_stored_bytes").set(status.stored_bytes as f64);
-    for (name, cache) in [("setups", &status.setup_cache), ("linearisations", &status.linearisation_cache)] {
-        gauge!("moldline_cache_entries", "cache" => name).set(cache.entries as f64);
-        gauge!("moldline_cache_bytes", "cache" => name).set(cache.bytes as f64);
-        gauge!("moldline_cache_budget_bytes", "cache" => name).set(cache.budget as f64);
-        counter!("moldline_cache_hits_total", "cache" => name).absolute(cache.hits);
-        counter!("moldline_cache_misses_total", "cache" => name).absolute(cache.misses);
-        counter!("moldline_cache_evictions_total", "cache" => name).absolute(cache.evictions);
-    }
+    tell_cache("setups", &status.setup_cache);
+    tell_cache("linearisations", &status.linearisation_cache);
+}
+
+/// How full a cache is, and how well it serves.
+pub fn tell_cache(name: &'static str, cache: &CacheStatus) {
+    gauge!("moldline_cache_entries", "cache" => name).set(cache.entries as f64);
+    gauge!("moldline_cache_bytes", "cache" => name).set(cache.bytes as f64);
+    gauge!("moldline_cache_budget_bytes", "cache" => name).set(cache.budget as f64);
+    counter!("moldline_cache_hits_total", "cache" => name).absolute(cache.hits);
+    counter!("moldline_cache_misses_total", "cache" => name).absolute(cache.misses);
+    counter!("moldline_cache_evictions_total", "cache" => name).absolute(cache.evictions);
 }

@@ -2,7 +2,8 @@
 
 use std::{collections::HashMap, net::SocketAddr, sync::Arc};
 
-use moldline_service::{Limits, PoolLimits, Service};
+use moldline_panel_service::PanelService;
+use moldline_service::{ComputePool, Limits, PoolLimits, Service};
 use moldline_transport::{Access, Health, Port, Surroundings, router, start_metrics};
 use tokio::{
     io::{AsyncReadExt, AsyncWriteExt},
@@ -10,10 +11,12 @@ use tokio::{
 };
 use tonic::transport::Channel;
 
-use crate::{serve, shell::Parts, telemetry};
+use crate::{panel, serve, shell::Parts, telemetry};
 
 #[path = "../../service/tests/ball/mod.rs"]
 pub mod ball;
+
+const POOL: PoolLimits = PoolLimits { threads: 2, running: 2, queued: 8 };
 
 pub struct Server {
     pub address: SocketAddr,
@@ -30,9 +33,20 @@ impl Server {
     }
 
     pub async fn over(access: Access, limits: Limits, tls: Option<tokio_rustls::TlsAcceptor>) -> Self {
-        let pool = PoolLimits { threads: 2, running: 2, queued: 8 };
-        let service = Arc::new(Service::new(pool, limits).unwrap());
-        let Parts { served, health, gauges, .. } = serve::parts(service, 64 << 20).await.unwrap();
+        let service = Arc::new(Service::new(POOL, limits).unwrap());
+        Self::serving(serve::parts(service, 64 << 20).await.unwrap(), access, tls).await
+    }
+
+    /// The panel method, with so many bytes for its analyses.
+    pub async fn panels(solution_bytes: u64) -> Self {
+        let limits = moldline_panel_service::Limits { solution_bytes, ..Default::default() };
+        let pool = Arc::new(ComputePool::new(POOL, usize::MAX).unwrap());
+        let service = Arc::new(PanelService::new(pool, limits));
+        Self::serving(panel::serve::parts(service, 64 << 20).await.unwrap(), Access::default(), None).await
+    }
+
+    async fn serving(parts: Parts, access: Access, tls: Option<tokio_rustls::TlsAcceptor>) -> Self {
+        let Parts { served, health, gauges, .. } = parts;
         let surroundings = Surroundings {
             access: Arc::new(access),
             health: health.clone(),

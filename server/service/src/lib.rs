@@ -48,13 +48,15 @@ pub use access::{Access, Listed, Page, Session, SessionUpdate, SetupSummary, Vis
 pub use cancel::Cancellation;
 pub use checks::{CheckAt, CheckRequest};
 pub use error::{Code, ServiceError, Violation};
+pub use flight::{Flights, Follower, Joined, Reports};
 pub use limits::Limits;
 pub use linearisation::{
     ControlPointVectors, Design, Directions, Gradients, Linearised, Seeds, Values, Wanted,
 };
-pub use pool::PoolLimits;
+pub use pool::{Completed, ComputePool, PoolLimits, Task, Ticket};
 pub use principal::{Principal, Role, Tenant, TenantError};
 pub use progress::{Progress, Reporter};
+pub use refusal::mesh_field;
 pub use service::{At, Created, Product, Receiving, Service, SetupView, Timing};
 pub use setups::{SetupId, StoredSetup};
 pub use status::{CacheStatus, Status, Work};

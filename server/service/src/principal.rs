@@ -78,9 +78,11 @@ impl Principal {
         Self { tenant: Tenant("local".to_owned()), role: Role::Admin }
     }
 
+    /// Makes sure that the caller may do what needs `role`.
+    ///
     /// # Errors
     /// `PermissionDenied` if the caller may less than `role`.
-    pub(crate) fn need(&self, role: Role) -> Result<(), ServiceError> {
+    pub fn need(&self, role: Role) -> Result<(), ServiceError> {
         if self.role >= role {
             return Ok(());
         }

@@ -89,7 +89,8 @@ impl From<SetupError> for ServiceError {
     }
 }
 
-fn mesh_field(error: &MeshError) -> String {
+/// The path of what is wrong with a mesh, which begins with `mesh`.
+pub fn mesh_field(error: &MeshError) -> String {
     match error {
         MeshError::Empty { what } | MeshError::TooMany { what, .. } => {
             format!("mesh.{}", what.replace(' ', "_"))

@@ -7,9 +7,11 @@
         gradient = session.vjp(functions={"enclosed_volume": 1.0}, at=result).design
 
 Vertices are float64 arrays of shape (n, 3) in metres; designs are float64 arrays of shape (number of variables,),
-each entry in its variable's unit. :mod:`moldline.aio` is the same for asyncio.
+each entry in its variable's unit. :mod:`moldline.aio` is the same for asyncio, :mod:`moldline.panel` the client of the panel
+method.
 """
 
+from moldline import panel
 from moldline.check import Check, CheckedDesign, CheckedVariable, Difference, DotProduct
 from moldline.client import Client, Session, Setup
 from moldline.connection import TLS
@@ -30,7 +32,7 @@ from moldline.errors import (
     Unauthenticated,
     Unavailable,
 )
-from moldline.mesh import Mesh, write_vtu
+from moldline.mesh import Mesh, write_cells, write_vtu
 from moldline.model import (
     At,
     CacheStatus,
@@ -102,5 +104,7 @@ __all__ = [
     "VariableGroup",
     "Visibility",
     "Work",
+    "panel",
+    "write_cells",
     "write_vtu",
 ]

@@ -4,21 +4,15 @@ from __future__ import annotations
 
 import math
 import os
-import time
 from collections.abc import Iterable, Mapping
-from contextlib import closing
 from functools import cached_property
-from types import TracebackType
-from typing import Any, TypeVar
 
-import grpc
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from moldline import connection, operations
+from moldline import operations
+from moldline.caller import Caller
 from moldline.check import Check
-from moldline.connection import TLS
-from moldline.errors import MoldlineError, translated
 from moldline.facts import SessionFacts, SetupFacts
 from moldline.mesh import Mesh
 from moldline.model import (
@@ -32,16 +26,12 @@ from moldline.model import (
     Tangents,
     Visibility,
 )
-from moldline.operations import Call, Operation
 from moldline.progress import Tell, told
-from moldline.retry import Attempts, Deadline, Retry
 from moldline.v1 import mesh_service_pb2 as wire
 from moldline.v1 import mesh_service_pb2_grpc
 
-T = TypeVar("T")
 
-
-class Client:
+class Client(Caller):
     """A connection to a server. Safe to use from several threads; close it, or use it in a `with` statement.
 
     `target`: address such as ``127.0.0.1:50051``, or a `grpc.Channel` of your own (with credentials, interceptors),
@@ -53,21 +43,7 @@ class Client:
     `retry`: when a call that failed is tried again.
     """
 
-    def __init__(
-        self,
-        target: str | grpc.Channel = "127.0.0.1:50051",
-        *,
-        token: str | None = None,
-        tls: TLS | bool = False,
-        timeout: float = 600.0,
-        retry: Retry = Retry(),
-    ) -> None:
-        self._own = isinstance(target, str)
-        self._channel: grpc.Channel = connection.channel(target, tls, grpc)
-        self._stub: Any = mesh_service_pb2_grpc.MeshServiceStub(self._channel)
-        self._metadata = connection.metadata(token)
-        self._timeout = timeout
-        self._retry = retry
+    _STUB = mesh_service_pb2_grpc.MeshServiceStub
 
     def create_setup(
         self,
@@ -122,57 +98,6 @@ class Client:
         if not isinstance(setup, Setup):
             setup = self.create_setup(setup, progress=options.get("progress", False))
         return setup.check(designs, **options)
-
-    def close(self) -> None:
-        """Closes the connection; calls under way are cancelled."""
-        if self._own:
-            self._channel.close()
-
-    def __enter__(self) -> Client:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-    def _run(self, operation: Operation[T], timeout: float | None) -> T:
-        deadline = Deadline(self._timeout if timeout is None else timeout)
-        with closing(operation):
-            step = operation.send
-            result: Any = None
-            while True:
-                try:
-                    call = step(result)
-                except StopIteration as end:
-                    return end.value  # type: ignore[no-any-return]  # What the operation returns is a T.
-                try:
-                    step, result = operation.send, self._perform(call, deadline)
-                except MoldlineError as error:
-                    step, result = operation.throw, error
-
-    def _perform(self, call: Call, deadline: Deadline) -> Any:
-        attempts = Attempts(self._retry, deadline)
-        while True:
-            try:
-                with translated():
-                    return self._attempt(call, deadline)
-            except MoldlineError as error:
-                time.sleep(attempts.pause(error))
-
-    def _attempt(self, call: Call, deadline: Deadline) -> Any:
-        method = getattr(self._stub, call.method)
-        answer = method(call.messages(), timeout=deadline.remaining, metadata=self._metadata)
-        if call.receiver is None:
-            return answer
-        receive = call.receiver()
-        try:
-            for message in answer:
-                receive(message)
-        finally:
-            # Without effect if it has ended.
-            answer.cancel()
-        return None
 
 
 class Setup(SetupFacts):

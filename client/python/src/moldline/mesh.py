@@ -53,12 +53,28 @@ def write_vtu(
     points = np.asarray(mesh.vertices if vertices is None else vertices, dtype="<f8")
     if points.shape != mesh.vertices.shape:
         raise ValueError(f"vertices have shape {points.shape}, the mesh has {mesh.vertices.shape}")
-    corners = np.where(mesh.triangles, 3, 4)
-    connectivity = mesh.cells[mesh.cells != NO_VERTEX]
-
-    blocks = _Blocks()
     seam = {"seam": mesh.seam.astype("u1"), **(point_data or {})}
     owner = {"owner": mesh.cell_owner, **(cell_data or {})}
+    write_cells(path, points, mesh.cells, seam, owner)
+
+
+def write_cells(
+    path: str | os.PathLike[str],
+    vertices: ArrayLike,
+    cells: ArrayLike,
+    point_data: Mapping[str, ArrayLike] | None = None,
+    cell_data: Mapping[str, ArrayLike] | None = None,
+) -> None:
+    """The same for vertices, float64, (n, 3), metres, and cells, uint32, (m, 4), as :attr:`Mesh.cells`."""
+    points = np.asarray(vertices, dtype="<f8")
+    cells = np.asarray(cells, dtype=np.uint32)
+    triangles = cells[:, 3] == NO_VERTEX
+    corners = np.where(triangles, 3, 4)
+    connectivity = cells[cells != NO_VERTEX]
+
+    blocks = _Blocks()
+    at_points = {name: _of_length(name, data, len(points)) for name, data in (point_data or {}).items()}
+    of_cells = {name: _of_length(name, data, len(corners)) for name, data in (cell_data or {}).items()}
     body = [
         _element("Points", [blocks.add("points", points)]),
         _element(
@@ -66,11 +82,11 @@ def write_vtu(
             [
                 blocks.add("connectivity", connectivity.astype("<i8")),
                 blocks.add("offsets", np.cumsum(corners).astype("<i8")),
-                blocks.add("types", np.where(mesh.triangles, 5, 9).astype("u1")),
+                blocks.add("types", np.where(triangles, 5, 9).astype("u1")),
             ],
         ),
-        _element("PointData", [blocks.add(name, _of_length(name, data, len(points))) for name, data in seam.items()]),
-        _element("CellData", [blocks.add(name, _of_length(name, data, len(corners))) for name, data in owner.items()]),
+        _element("PointData", [blocks.add(name, data) for name, data in at_points.items()]),
+        _element("CellData", [blocks.add(name, data) for name, data in of_cells.items()]),
     ]
     head = (
         '<?xml version="1.0"?>\n'

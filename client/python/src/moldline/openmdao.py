@@ -1,10 +1,14 @@
-"""An OpenMDAO component: design variables in, vertices and scalar outputs out, with exact derivatives.
+"""OpenMDAO components, with exact derivatives: design variables to vertices, and vertices to coefficients of the flow.
 
     pip install moldline[openmdao]
 
     problem = om.Problem()
     mesh = DeformedMesh(session=setup.session())
     problem.model.add_subsystem("mesh", mesh)
+
+    panel = PanelComponent(configuration=configuration, reference=reference, mach=0.7)
+    problem.model.add_subsystem("panel", panel)
+    problem.model.connect("mesh.vertices", "panel.vertices")
 
 OpenMDAO's names have no dots: ``wing.twist`` is ``wing:twist`` there (:func:`om_name`).
 """
@@ -20,6 +24,7 @@ from numpy.typing import NDArray
 
 from moldline.client import Session
 from moldline.model import Deformation, DesignPoint
+from moldline.panel import COEFFICIENTS, Analysis, Configuration, Reference
 
 #: OpenMDAO's words for units.
 _UNITS = {"1": None, "percent": "percent", "m^2": "m**2", "m^3": "m**3", "ft^2": "ft**2"}
@@ -181,6 +186,98 @@ class DenseDeformedMesh(_Mesh):
             partials["vertices", name] = tangents.vertices.reshape(3 * count, -1).T
             for output, function in self._functions.items():
                 partials[output, name] = tangents.functions[function][np.newaxis]
+
+
+class PanelComponent(om.ExplicitComponent):  # type: ignore[misc]
+    """The flow over a mesh by the panel method; derivatives are products, as OpenMDAO asks for them.
+
+    Inputs: `vertices`, (n, 3), metres; `alpha`, rad; `mach`.
+
+    Outputs: those of the option `coefficients`, such as `lift` (:data:`moldline.panel.COEFFICIENTS`); `section_loads`, m, and
+    `cp` of every cell if wanted.
+
+    Options:
+    `configuration`: a :class:`moldline.panel.Configuration`.
+    `reference`: a :class:`moldline.panel.Reference`, which does not change.
+    `vertices`, `alpha`, `mach`: values to begin with; `vertices` are needed.
+    `coefficients`: names of the scalar outputs that are wanted.
+    `section_loads`, `cp`: whether they are outputs.
+    """
+
+    def initialize(self) -> None:
+        self.options.declare("configuration", types=Configuration, recordable=False, desc="a mesh made ready")
+        self.options.declare("reference", types=Reference, recordable=False, desc="what coefficients refer to")
+        self.options.declare("vertices", recordable=False, desc="positions to begin with")
+        self.options.declare("alpha", default=0.0, desc="rad")
+        self.options.declare("mach", default=0.0)
+        self.options.declare("coefficients", default=COEFFICIENTS, desc="scalar outputs that are wanted")
+        self.options.declare("section_loads", default=False, types=bool)
+        self.options.declare("cp", default=False, types=bool)
+
+    def setup(self) -> None:
+        configuration: Configuration = self.options["configuration"]
+        self.add_input("vertices", val=self.options["vertices"], shape=(configuration.vertex_count, 3), units="m")
+        self.add_input("alpha", val=self.options["alpha"], units="rad")
+        self.add_input("mach", val=self.options["mach"])
+        for name in self.options["coefficients"]:
+            if name not in COEFFICIENTS:
+                raise ValueError(f"there is no coefficient {name!r}; there are: {', '.join(COEFFICIENTS)}")
+            units = "m" if name == "neutral_point" else "1/rad" if name.endswith("slope") else None
+            self.add_output(name, units=units)
+        if self.options["section_loads"]:
+            self.add_output("section_loads", shape=len(configuration.trailing_edges), units="m")
+        if self.options["cp"]:
+            self.add_output("cp", shape=configuration.cell_count)
+        #: The last analysis.
+        self.analysis: Analysis | None = None
+
+    def compute(self, inputs: Any, outputs: Any) -> None:
+        self.analysis = analysis = self._analyze(inputs)
+        for name in self.options["coefficients"]:
+            outputs[name] = getattr(analysis.coefficients, name)
+        if self.options["section_loads"]:
+            outputs["section_loads"] = analysis.sections.loads
+        if self.options["cp"]:
+            outputs["cp"] = analysis.cp
+
+    def _analyze(self, inputs: Any) -> Analysis:
+        configuration: Configuration = self.options["configuration"]
+        return configuration.analyze(
+            inputs["vertices"], reference=self.options["reference"], mach=inputs["mach"].item(), alpha=inputs["alpha"].item()
+        )
+
+    def _at(self, inputs: Any) -> Analysis:
+        """The last analysis, or that of `inputs` if it is another's."""
+        if self.analysis is not None:
+            point = self.analysis.point
+            scalars = (point.mach, point.alpha) == (inputs["mach"].item(), inputs["alpha"].item())
+            if scalars and np.array_equal(_array(point.vertices), inputs["vertices"]):
+                return self.analysis
+        return self._analyze(inputs)
+
+    def compute_jacvec_product(self, inputs: Any, d_inputs: Any, d_outputs: Any, mode: str) -> None:
+        configuration: Configuration = self.options["configuration"]
+        named = [name for name in self.options["coefficients"] if name in d_outputs]
+        blocks = [name for name in ("section_loads", "cp") if name in d_outputs]
+        scalars = [name for name in ("alpha", "mach") if name in d_inputs]
+        vertices = "vertices" in d_inputs
+        if not (named or blocks) or not (vertices or scalars):
+            return
+        if mode == "fwd":
+            directions: dict[str, Any] = {name: d_inputs[name].item() for name in scalars}
+            tangent = configuration.jvp(d_inputs["vertices"] if vertices else None, **directions, at=self._at(inputs))
+            for name in named:
+                d_outputs[name] += tangent.coefficients[name]
+            for name in blocks:
+                d_outputs[name] += getattr(tangent, name)
+            return
+        weights = {name: d_outputs[name].item() for name in named}
+        seeds = {name: d_outputs[name] for name in blocks}
+        gradient = configuration.vjp(weights or None, **seeds, at=self._at(inputs))
+        if vertices:
+            d_inputs["vertices"] += gradient.vertices
+        for name in scalars:
+            d_inputs[name] += getattr(gradient, name)
 
 
 def _same(one: DesignPoint, other: DesignPoint) -> bool:

@@ -242,7 +242,7 @@ def jvp(
     at: At,
 ) -> Operation[Tangents]:
     """`J v`, block after block."""
-    blocks = _Blocks(setup)
+    blocks = Blocks(_points(setup))
     if directions is not None:
         blocks.add("directions", directions, 1)
     points = points or {}
@@ -272,7 +272,7 @@ def vjp(
     control_points: Iterable[str],
 ) -> Operation[Gradients]:
     """`J^T w`, block after block."""
-    blocks = _Blocks(setup)
+    blocks = Blocks(_points(setup))
     if vertices is not None:
         blocks.add("vertices", vertices, 2)
     if functions is not None:
@@ -324,6 +324,10 @@ def jacobian(setup: SetupFacts, session_id: str, at: At, tell: Tell) -> Operatio
     return Jacobian(vertices, setup.by_function(functions), *_seconds(parts))
 
 
+def _points(setup: SetupFacts) -> int:
+    return setup.vertex_count + sum(setup.control_point_counts.values())
+
+
 def _request_id(given: str | None) -> str:
     return uuid.uuid4().hex if given is None else given
 
@@ -357,14 +361,14 @@ def _seconds(parts: list[Any]) -> tuple[float, float]:
     return sum(part.timings.engine_seconds for part in parts), sum(part.timings.queue_seconds for part in parts)
 
 
-class _Blocks:
+class Blocks:
     """Vectors to multiply with, by name: blocks with a first axis, cut into pieces that fit one request."""
 
-    def __init__(self, setup: SetupFacts) -> None:
+    def __init__(self, points: int) -> None:
+        """`points`: at most so many belong to one vector."""
         self._blocks: dict[str, NDArray[np.float64]] = {}
         #: Whether some had no first axis, and whether some had one.
         self._single: set[bool] = set()
-        points = setup.vertex_count + sum(setup.control_point_counts.values())
         self._step = max(1, min(_VECTORS, _REQUEST // (24 * points)))
 
     def add(self, name: str, vectors: ArrayLike, dimensions: int) -> None:

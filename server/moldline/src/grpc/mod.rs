@@ -30,18 +30,26 @@ pub async fn routes(
     meshes: Meshes,
     max_message: usize,
 ) -> Result<(Routes, Routes, Health), tonic_reflection::server::Error> {
-    let (health, answers) = Health::new(&[MESHES]).await;
+    let (open, health) = open_routes(MESHES).await?;
+    let meshes = MeshServiceServer::new(Grpc { meshes })
+        .max_decoding_message_size(max_message)
+        .max_encoding_message_size(usize::MAX);
+    Ok((Routes::new(meshes), open, health))
+}
+
+/// What everybody may ask about the service of that name: health, and reflection in both its versions.
+pub async fn open_routes(service: &'static str) -> Result<(Routes, Health), tonic_reflection::server::Error> {
+    let (health, answers) = Health::new(&[service]).await;
     let reflection = || {
         tonic_reflection::server::Builder::configure()
             .register_encoded_file_descriptor_set(FILE_DESCRIPTOR_SET)
             .register_encoded_file_descriptor_set(tonic_health::pb::FILE_DESCRIPTOR_SET)
+            .with_service_name(service)
+            .with_service_name("grpc.health.v1.Health")
     };
-    let meshes = MeshServiceServer::new(Grpc { meshes })
-        .max_decoding_message_size(max_message)
-        .max_encoding_message_size(usize::MAX);
     let open =
         Routes::new(answers).add_service(reflection().build_v1()?).add_service(reflection().build_v1alpha()?);
-    Ok((Routes::new(meshes), open, health))
+    Ok((open, health))
 }
 
 /// The mesh service on the wire.
@@ -50,7 +58,7 @@ pub struct Grpc {
 }
 
 /// Who calls, how long the answer is waited for, and what is asked.
-fn open<T>(mut request: Request<T>) -> Result<(Principal, Deadline, T), Status> {
+pub fn open<T>(mut request: Request<T>) -> Result<(Principal, Deadline, T), Status> {
     let deadline = request.extensions().get().copied().unwrap_or_default();
     let caller = request.extensions_mut().remove::<Principal>().ok_or_else(|| {
         status(ServiceError::new(Code::Internal, "the request came past the question who sent it"))
@@ -206,7 +214,7 @@ impl MeshService for Grpc {
     }
 }
 
-fn answer<T>(outcome: Result<T, ServiceError>) -> Result<Response<T>, Status> {
+pub fn answer<T>(outcome: Result<T, ServiceError>) -> Result<Response<T>, Status> {
     outcome.map(Response::new).map_err(status)
 }
 

@@ -20,13 +20,14 @@ impl Arrays {
         Self(arrays)
     }
 
-    fn take(&mut self, name: &str) -> Option<Array> {
+    /// The one of that name.
+    pub fn take(&mut self, name: &str) -> Option<Array> {
         let index = self.0.iter().position(|(known, _)| known == name)?;
         Some(self.0.swap_remove(index).1)
     }
 
     /// All whose names begin so, by the rest of their names, in order.
-    fn take_all(&mut self, prefix: &str) -> Vec<(String, Array)> {
+    pub fn take_all(&mut self, prefix: &str) -> Vec<(String, Array)> {
         let mut found = Vec::new();
         for (name, array) in std::mem::take(&mut self.0) {
             match name.strip_prefix(prefix) {
@@ -40,7 +41,7 @@ impl Arrays {
 
     /// # Errors
     /// `InvalidArgument` for an array of another name.
-    fn end(self) -> Result<(), ServiceError> {
+    pub fn end(self) -> Result<(), ServiceError> {
         match self.0.first() {
             None => Ok(()),
             Some((name, _)) => {
@@ -116,7 +117,7 @@ impl Arrays {
 }
 
 /// A vector as a block of one.
-fn block(mut array: Array) -> Array {
+pub fn block(mut array: Array) -> Array {
     if array.shape.len() == 1 {
         array.shape.insert(0, 1);
     }
@@ -124,7 +125,7 @@ fn block(mut array: Array) -> Array {
 }
 
 /// Points, or the coordinates of points one after the other, as a block of one vector.
-fn point_block(mut array: Array) -> Array {
+pub fn point_block(mut array: Array) -> Array {
     match array.shape[..] {
         [coordinates] if coordinates % 3 == 0 => array.shape = vec![1, coordinates / 3, 3],
         [_, 3] => array.shape.insert(0, 1),

@@ -4,16 +4,15 @@ use axum::{body::Body, extract::State, http::HeaderMap, http::StatusCode, respon
 use moldline_proto::v1::{self, check_response::Event};
 use moldline_service::{Code, ServiceError};
 use moldline_transport::{
-    Answer, Caller, Deadline, Id, Problem, Refusal,
+    Answer, Caller, Deadline, Id, Problem,
     media::{self, Media},
 };
 use tokio::sync::mpsc;
-use tokio_stream::{StreamExt, wrappers::UnboundedReceiverStream};
 
 use super::{
     Http,
     documents::Check,
-    setups::{event, stream},
+    events::{self, Tell},
 };
 
 /// Checks the derivatives of a set-up
@@ -39,27 +38,23 @@ pub async fn check(
     body: Body,
 ) -> Answer<Response> {
     let media = Media::accepted(&headers, &[Media::Json, Media::Events])?;
-    let request = http.document::<Check>(&headers, body).await?.message(setup_id)?;
-    let mut events = http.meshes.check(caller, deadline, request);
+    let request = http.bodies.document::<Check>(&headers, body).await?.message(setup_id)?;
+    let events = http.meshes.check(caller, deadline, request);
     if media == Media::Events {
-        return Ok(stream(UnboundedReceiverStream::new(events).map(
-            |outcome| match outcome.map(|e| e.event) {
-                Ok(Some(Event::Progress(progress))) => event("progress", &progress),
-                Ok(Some(Event::Report(report))) => event("report", &report),
-                Ok(None) => String::new(),
-                Err(error) => event("problem", &Refusal::from(error).problem()),
-            },
-        )));
+        return Ok(events::stream("report", deadline, |tell| Box::pin(report(events, tell))));
     }
-    media::document(StatusCode::OK, &report(&mut events).await?)
+    media::document(StatusCode::OK, &report(events, Box::new(|_| {})).await?)
 }
 
 async fn report(
-    events: &mut mpsc::UnboundedReceiver<Result<v1::CheckResponse, ServiceError>>,
+    mut events: mpsc::UnboundedReceiver<Result<v1::CheckResponse, ServiceError>>,
+    mut tell: Tell,
 ) -> Answer<v1::CheckReport> {
     while let Some(outcome) = events.recv().await {
-        if let Some(Event::Report(report)) = outcome?.event {
-            return Ok(report);
+        match outcome?.event {
+            Some(Event::Progress(progress)) => tell(progress),
+            Some(Event::Report(report)) => return Ok(report),
+            None => {}
         }
     }
     Err(ServiceError::new(Code::Internal, "the check ended without a report").into())

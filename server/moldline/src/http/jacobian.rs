@@ -17,9 +17,11 @@ use tokio::sync::mpsc;
 use tokio_stream::{StreamExt, wrappers::ReceiverStream};
 
 use super::{
-    Http, documents,
+    Http,
+    bodies::Sent,
+    documents,
     replies::{Reply, server_timing},
-    sessions::{AtQuery, Sent},
+    sessions::AtQuery,
 };
 
 type Block = Result<v1::JacobianResponse, ServiceError>;
@@ -53,11 +55,11 @@ pub async fn jacobian(
     body: Body,
 ) -> Answer<Response> {
     let media = Media::accepted(&headers, &ARRAYS)?;
-    let request = match http.numbers(&headers, body, "at.design", query.shape.as_deref()).await? {
+    let request = match http.bodies.numbers(&headers, body, "at.design", query.shape.as_deref()).await? {
         Sent::Document(document) => documents::Jacobian::message(document, id),
         Sent::Arrays(arrays) => arrays.jacobian(id, query.linearisation_id)?,
     };
-    let limit = http.max_body;
+    let limit = http.bodies.most;
     let mut blocks = http.meshes.jacobian(caller, deadline, request);
     let first = blocks.recv().await.unwrap_or_else(|| Err(cut_off()))?;
     match media {

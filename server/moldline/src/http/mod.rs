@@ -1,24 +1,27 @@
 //! The HTTP transport: every RPC as a route. What it does is in `mesh`, how bodies look in `documents`, `arrays` and
 //! `replies`.
 
-mod arrays;
+pub mod arrays;
+pub mod bodies;
 mod check;
 mod documents;
+pub mod events;
 mod jacobian;
 mod operations;
-mod replies;
+pub mod replies;
 mod sessions;
 mod setups;
 #[cfg(test)]
-mod tests;
+pub mod tests;
 
 use std::sync::Arc;
 
-use moldline_transport::{Problem, media::Media};
+use moldline_transport::Problem;
 use utoipa::OpenApi;
 use utoipa_axum::{router::OpenApiRouter, routes};
 
 use crate::mesh::Meshes;
+use bodies::Bodies;
 use operations::Operations;
 
 /// What the handlers share.
@@ -26,15 +29,8 @@ use operations::Operations;
 pub struct Http {
     meshes: Meshes,
     operations: Arc<Operations>,
-    /// Bytes of a body that is no upload.
-    max_body: usize,
-}
-
-impl Http {
-    /// Bytes of a body: numbers take several times as much memory as they have letters in JSON.
-    fn limit(&self, media: Media) -> usize {
-        if media == Media::Json { self.max_body / 4 } else { self.max_body }
-    }
+    /// Those that are no uploads.
+    bodies: Bodies,
 }
 
 /// A name that a client chose for a change, so that a retry is recognised.
@@ -45,7 +41,7 @@ fn idempotency_key(headers: &axum::http::HeaderMap) -> String {
 
 /// All routes, with their description.
 pub fn routes(meshes: Meshes, max_body: usize) -> OpenApiRouter {
-    let http = Http { meshes, operations: Arc::default(), max_body };
+    let http = Http { meshes, operations: Arc::default(), bodies: Bodies { most: max_body } };
     OpenApiRouter::with_openapi(Description::openapi())
         .routes(routes!(setups::create_setup, setups::list_setups))
         .routes(routes!(setups::get_setup, setups::delete_setup))
@@ -78,7 +74,7 @@ pub fn routes(meshes: Meshes, max_body: usize) -> OpenApiRouter {
 struct Description;
 
 /// Bearer tokens, which a server asks for or not.
-struct Bearer;
+pub struct Bearer;
 
 impl utoipa::Modify for Bearer {
     fn modify(&self, openapi: &mut utoipa::openapi::OpenApi) {

@@ -2,7 +2,6 @@
 //! what they have built is stored, and posting the same content again finds it.
 
 use std::{
-    pin::Pin,
     sync::{Mutex, MutexGuard, PoisonError},
     time::{Duration, Instant},
 };
@@ -21,7 +20,10 @@ use tracing::{Instrument, Span};
 use utoipa::ToSchema;
 use uuid::Uuid;
 
-use super::Http;
+use super::{
+    Http,
+    events::{Tell, Work},
+};
 
 /// A set-up that is being built, or what became of it.
 #[derive(Debug, Serialize, ToSchema)]
@@ -41,12 +43,6 @@ pub struct Operation {
     #[schema(nullable = false)]
     problem: Option<Problem>,
 }
-
-/// Tells about progress.
-pub type Tell = Box<dyn FnMut(v1::Progress) + Send>;
-
-/// What an operation does.
-pub type Work = Pin<Box<dyn Future<Output = Answer<v1::CreatedSetup>> + Send>>;
 
 /// Operations that run, and those that ended not long ago.
 #[derive(Debug, Default)]
@@ -81,7 +77,11 @@ impl Operations {
     ///
     /// # Errors
     /// `ResourceExhausted` if there are too many.
-    pub async fn start(&self, caller: &Principal, work: impl FnOnce(Tell) -> Work) -> Answer<Response> {
+    pub async fn start(
+        &self,
+        caller: &Principal,
+        work: impl FnOnce(Tell) -> Work<v1::CreatedSetup>,
+    ) -> Answer<Response> {
         let (sender, mut course) = watch::channel(Course::default());
         let id = Uuid::new_v4().simple().to_string();
         let teller = sender.clone();

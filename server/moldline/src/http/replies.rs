@@ -26,7 +26,7 @@ pub trait Reply: Serialize + Sized {
 /// Names an answer's linearisation.
 const LINEARISATION_ID: &str = "moldline-linearisation-id";
 
-fn named(name: &str, array: Option<Array>) -> Option<(String, Array)> {
+pub fn named(name: &str, array: Option<Array>) -> Option<(String, Array)> {
     array.map(|array| (name.to_owned(), array))
 }
 

@@ -1,7 +1,7 @@
 //! Sessions over HTTP, and what they compute.
 
 use axum::{
-    body::{Body, Bytes},
+    body::Body,
     extract::State,
     http::{HeaderMap, HeaderValue, StatusCode, header},
     response::Response,
@@ -11,51 +11,16 @@ use moldline_transport::{
     Answer, Caller, Id, Problem, Query,
     media::{self, ARRAYS, Media},
 };
-use serde::{Deserialize, de::DeserializeOwned};
+use serde::Deserialize;
 
 use super::{
     Http,
-    arrays::Arrays,
+    bodies::Sent,
     documents::{Deform, Jvp, OpenSession, UpdateSession, Vjp},
     idempotency_key,
     replies::Reply,
     setups::Page,
 };
-
-/// A body with numbers.
-pub enum Sent<T> {
-    /// JSON.
-    Document(T),
-    /// Anything else.
-    Arrays(Arrays),
-}
-
-impl Http {
-    /// A body that has to be JSON.
-    pub async fn document<T: DeserializeOwned>(&self, headers: &HeaderMap, body: Body) -> Answer<T> {
-        match Media::sent(headers)? {
-            Media::Json => media::json(&media::read(headers, body, self.limit(Media::Json)).await?),
-            _ => Err(media::unsupported("this takes application/json")),
-        }
-    }
-
-    /// A body with numbers; `main` is the name of the array that comes alone.
-    pub async fn numbers<T: DeserializeOwned>(
-        &self,
-        headers: &HeaderMap,
-        body: Body,
-        main: &str,
-        shape: Option<&str>,
-    ) -> Answer<Sent<T>> {
-        let media = Media::sent(headers)?;
-        let body: Bytes = media::read(headers, body, self.limit(media)).await?;
-        Ok(match media {
-            Media::Json => Sent::Document(media::json(&body)?),
-            _ if body.is_empty() => Sent::Arrays(Arrays::new(Vec::new())),
-            _ => Sent::Arrays(Arrays::new(media::arrays(media, body, main, shape, self.max_body)?)),
-        })
-    }
-}
 
 /// Opens a session on a set-up
 ///
@@ -79,7 +44,7 @@ pub async fn open_session(
     headers: HeaderMap,
     body: Body,
 ) -> Answer<Response> {
-    let OpenSession { label } = http.document(&headers, body).await?;
+    let OpenSession { label } = http.bodies.document(&headers, body).await?;
     let request = v1::OpenSessionRequest { setup_id, request_id: idempotency_key(&headers), label };
     let opened = http.meshes.open_session(&caller, request).await?;
     let mut response = media::document(StatusCode::CREATED, &opened)?;
@@ -154,7 +119,7 @@ pub async fn update_session(
     headers: HeaderMap,
     body: Body,
 ) -> Answer<Response> {
-    let UpdateSession { expected_generation, design, label } = http.document(&headers, body).await?;
+    let UpdateSession { expected_generation, design, label } = http.bodies.document(&headers, body).await?;
     let request = v1::UpdateSessionRequest {
         session_id,
         expected_generation,
@@ -223,7 +188,7 @@ pub async fn deform(
     body: Body,
 ) -> Answer<Response> {
     let media = Media::accepted(&headers, &ARRAYS)?;
-    let request = match http.numbers(&headers, body, "design", query.shape.as_deref()).await? {
+    let request = match http.bodies.numbers(&headers, body, "design", query.shape.as_deref()).await? {
         Sent::Document(document) => Deform::message(document, id),
         Sent::Arrays(arrays) => arrays.deform(id, query.include_cell_quality)?,
     };
@@ -268,7 +233,7 @@ pub async fn apply_jacobian_vector(
     body: Body,
 ) -> Answer<Response> {
     let media = Media::accepted(&headers, &ARRAYS)?;
-    let request = match http.numbers(&headers, body, "design", query.shape.as_deref()).await? {
+    let request = match http.bodies.numbers(&headers, body, "design", query.shape.as_deref()).await? {
         Sent::Document(document) => Jvp::message(document, id),
         Sent::Arrays(arrays) => arrays.jvp(id, query.linearisation_id)?,
     };
@@ -318,7 +283,7 @@ pub async fn apply_adjoint(
     body: Body,
 ) -> Answer<Response> {
     let media = Media::accepted(&headers, &ARRAYS)?;
-    let request = match http.numbers(&headers, body, "vertices", query.shape.as_deref()).await? {
+    let request = match http.bodies.numbers(&headers, body, "vertices", query.shape.as_deref()).await? {
         Sent::Document(document) => Vjp::message(document, id),
         Sent::Arrays(arrays) => {
             let components = query.control_points_of.as_deref().unwrap_or_default().split(',').map(str::trim);

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use axum::{
-    body::{Body, Bytes},
+    body::Body,
     extract::State,
     http::{HeaderMap, HeaderValue, StatusCode, header},
     response::Response,
@@ -15,18 +15,14 @@ use moldline_transport::{
     media::{self, ARRAYS, Chunks, Media},
 };
 use serde::Deserialize;
-use tokio::{
-    sync::mpsc,
-    time::{Duration, sleep},
-};
-use tokio_stream::{Stream, StreamExt, wrappers::UnboundedReceiverStream};
-use tracing::{Instrument, Span};
+use tokio_stream::StreamExt;
 
 use super::{
     Http,
     documents::{ShareSetup, Visibility},
+    events::{self, Tell, Work},
     idempotency_key,
-    operations::{Operation, Tell, Work},
+    operations::Operation,
     replies::Reply,
 };
 use crate::convert;
@@ -81,12 +77,15 @@ pub async fn create_setup(
     let media = Media::accepted(&headers, &[Media::Json, Media::Events])?;
     let header = announced(&http, upload, &headers)?;
     if media == Media::Events {
-        return Ok(events(http, caller, deadline, header, body));
+        let work = move |tell: Tell| -> Work<v1::CreatedSetup> {
+            Box::pin(async move { receive(&http, &caller, header, body, tell).await })
+        };
+        return Ok(events::stream("created", deadline, work));
     }
     let prefer = headers.get_all("prefer").iter();
     if prefer.filter_map(|value| value.to_str().ok()).any(|value| value.contains("respond-async")) {
         let (operations, owner) = (Arc::clone(&http.operations), caller.clone());
-        let work = move |tell: Tell| -> Work {
+        let work = move |tell: Tell| -> Work<v1::CreatedSetup> {
             Box::pin(async move { receive(&http, &caller, header, body, tell).await })
         };
         return operations.start(&owner, work).await;
@@ -155,57 +154,6 @@ async fn receive(
     let most = http.meshes.service().limits().chunk_bytes;
     let parts = Chunks::new(body, most).map(|data| Ok((0, data?)));
     http.meshes.create_setup(caller, header, parts, tell, Refusal::from).await
-}
-
-/// The same as server-sent events.
-fn events(
-    http: Http,
-    caller: Principal,
-    deadline: Deadline,
-    header: v1::SetupHeader,
-    body: Body,
-) -> Response {
-    /// Between words that keep proxies from closing a silent connection.
-    const SILENCE: Duration = Duration::from_secs(15);
-    let (sender, events) = mpsc::unbounded_channel();
-    let work = async move {
-        let send = |text: String| sender.send(Bytes::from(text)).is_ok();
-        let tell = |progress: v1::Progress| {
-            send(event("progress", &progress));
-        };
-        let work = deadline.limit(receive(&http, &caller, header, body, tell), Refusal::from);
-        tokio::pin!(work);
-        let outcome = loop {
-            tokio::select! {
-                outcome = &mut work => break outcome,
-                // The client has gone: the upload and the interest in the build go with this future.
-                () = sender.closed() => return,
-                () = sleep(SILENCE) => { send(":\n\n".to_owned()); }
-            }
-        };
-        send(match outcome {
-            Ok(created) => event("created", &created),
-            Err(refusal) => event("problem", &refusal.problem()),
-        });
-    };
-    tokio::spawn(work.instrument(Span::current()));
-    stream(UnboundedReceiverStream::new(events))
-}
-
-/// A response of server-sent events as they come.
-pub fn stream<T: Into<Bytes>>(events: impl Stream<Item = T> + Send + 'static) -> Response {
-    let frames = events.map(|event| Ok::<Bytes, std::convert::Infallible>(event.into()));
-    let mut response = Response::new(Body::from_stream(frames));
-    let headers = response.headers_mut();
-    headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(Media::Events.name()));
-    headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
-    response
-}
-
-/// A server-sent event.
-pub fn event(name: &str, content: &impl serde::Serialize) -> String {
-    let content = serde_json::to_string(content).unwrap_or_default();
-    format!("event: {name}\ndata: {content}\n\n")
 }
 
 /// A part of a list.
@@ -316,7 +264,7 @@ pub async fn share_setup(
     headers: HeaderMap,
     body: Body,
 ) -> Answer<Response> {
-    let ShareSetup { visibility, shared_with } = http.document(&headers, body).await?;
+    let ShareSetup { visibility, shared_with } = http.bodies.document(&headers, body).await?;
     let visibility = v1::Visibility::from(visibility).into();
     let request = v1::ShareSetupRequest { setup_id, visibility, shared_with };
     media::document(StatusCode::OK, &http.meshes.share_setup(&caller, request).await?)

@@ -1,0 +1,195 @@
+//! The service without a transport: names, sharing, limits, cancellation.
+#![allow(clippy::unwrap_used, reason = "helpers of tests may panic")]
+
+use std::sync::Arc;
+
+use moldline_panel::{Flow, Inputs, Options, Outputs, PanelSetup, Reference, Scalars, TrailingEdges};
+use moldline_panel_service::{AnalysisPoint, Definition, Geometry, Limits, PanelService};
+use moldline_service::{Code, ComputePool, PoolLimits, Principal, Role, Tenant};
+
+#[path = "../../panel/tests/suite/meshes.rs"]
+#[allow(dead_code, reason = "the panel crate's tests use it all")]
+mod meshes;
+
+fn service(limits: Limits) -> Arc<PanelService> {
+    let pool = ComputePool::new(PoolLimits { threads: 2, running: 2, queued: 8 }, usize::MAX).unwrap();
+    Arc::new(PanelService::new(Arc::new(pool), limits))
+}
+
+fn wing() -> Definition {
+    let mesh = meshes::Wing { half: true, ..meshes::Wing::rectangular(12, 8) }.mesh();
+    Definition {
+        cells: mesh.cells,
+        vertices: mesh.vertices,
+        cell_groups: mesh.cell_groups,
+        vertex_groups: mesh.vertex_groups,
+        options: Options {
+            trailing_edges: TrailingEdges::Groups(vec!["trailing_edge".to_owned()]),
+            ..Options::default()
+        },
+    }
+}
+
+fn flow(alpha: f64) -> Flow {
+    let reference = Reference { area: 8.0, chord: 1.0, span: 8.0, point: [0.25, 0.0, 0.0] };
+    Flow { alpha, sideslip: 0.0, reference }
+}
+
+fn still(mach: f64) -> Geometry {
+    Geometry { vertices: None, mach }
+}
+
+#[tokio::test]
+async fn analyses_and_products_are_those_of_the_panel_method() {
+    let service = service(Limits::default());
+    let caller = Principal::local();
+    let made = service.create_configuration(&caller, wing()).await.unwrap();
+    assert!(made.created);
+    let id = &made.configuration.id;
+    let flows = vec![flow(0.0), flow(0.05)];
+    let mut stages = Vec::new();
+    let analysed = service
+        .analyse(&caller, id, still(0.3), flows, |progress| stages.push(progress.stage))
+        .await
+        .unwrap();
+    stages.dedup();
+    assert_eq!(stages, ["influence", "factorisation", "solution"]);
+
+    let mesh = meshes::Wing { half: true, ..meshes::Wing::rectangular(12, 8) }.mesh();
+    let setup = PanelSetup::new(&mesh, wing().options).unwrap();
+    let solution = Arc::new(setup.solve(&mesh.vertices, 0.3, &moldline_panel::Silent).unwrap());
+    assert_eq!(analysed.analyses[1], solution.analyse(&flow(0.05)).unwrap());
+    assert_eq!(analysed.solved.residuals.last(), Some(&analysed.analyses[0].residual));
+
+    let seed = Outputs { scalars: Scalars { lift: 1.0, ..Scalars::default() }, ..Outputs::default() };
+    let at = |id: &str, geometry| AnalysisPoint { analysis_id: id.to_owned(), geometry, flow: flow(0.05) };
+    let expected =
+        solution.linearise(&flow(0.05)).unwrap().vjp(std::slice::from_ref(&seed), &moldline_panel::Silent).unwrap();
+    let by_id = service.vjp(&caller, id, at(&analysed.solved.id, None), vec![seed.clone()]).await.unwrap();
+    assert_eq!(by_id.value, expected);
+    // Solved again by a service that never made it.
+    let other = self::service(Limits::default());
+    other.create_configuration(&caller, wing()).await.unwrap();
+    let again = other.vjp(&caller, id, at(&analysed.solved.id, Some(still(0.3))), vec![seed]).await.unwrap();
+    assert_eq!(again.value, expected);
+    let direction = Inputs { alpha: 1.0, ..Inputs::default() };
+    let changes = service.jvp(&caller, id, at(&analysed.solved.id, None), vec![direction]).await.unwrap();
+    assert!((changes.value[0].scalars.lift - analysed.analyses[1].scalars.lift_slope).abs() < 1e-12);
+
+    let wrong =
+        service.vjp(&caller, id, at(&analysed.solved.id, Some(still(0.2))), vec![Outputs::default()]).await;
+    assert_eq!(wrong.unwrap_err().violations[0].field, "at.analysis_id");
+    let nothing = service.vjp(&caller, id, at("", None), vec![Outputs::default()]).await.unwrap_err();
+    assert_eq!(nothing.violations[0].field, "at");
+    let none = service.vjp(&caller, id, at(&analysed.solved.id, None), Vec::new()).await.unwrap_err();
+    assert_eq!(none.violations[0].field, "seeds");
+}
+
+#[tokio::test]
+async fn names_follow_content_and_the_same_work_is_done_once() {
+    let service = service(Limits::default());
+    let caller = Principal::local();
+    let first = service.create_configuration(&caller, wing()).await.unwrap();
+    let second = service.create_configuration(&caller, wing()).await.unwrap();
+    assert!(!second.created && Arc::ptr_eq(&first.configuration, &second.configuration));
+    let mut other = wing();
+    other.options.tolerance = 1e-10;
+    assert_ne!(other.id(), first.configuration.id);
+    let mut other = wing();
+    other.vertices[3][2] += 1e-12;
+    assert_ne!(other.id(), first.configuration.id);
+
+    let id = &first.configuration.id;
+    let ask = || service.analyse(&caller, id, still(0.3), vec![flow(0.05)], |_| {});
+    let (one, two) = tokio::join!(ask(), ask());
+    let (one, two) = (one.unwrap(), two.unwrap());
+    assert!(Arc::ptr_eq(&one.solved, &two.solved) && one.reused != two.reused);
+    let explicit = Geometry { vertices: Some(wing().vertices), mach: 0.3 };
+    assert!(service.analyse(&caller, id, explicit, vec![flow(0.1)], |_| {}).await.unwrap().reused);
+}
+
+#[tokio::test]
+async fn a_tenant_sees_its_own_and_a_reader_computes_nothing() {
+    let service = service(Limits::default());
+    let caller = Principal::local();
+    let id = service.create_configuration(&caller, wing()).await.unwrap().configuration.id.clone();
+    let stranger = Principal { tenant: Tenant::new("other").unwrap(), role: Role::User };
+    assert_eq!(service.configuration(&stranger, &id).unwrap_err().code, Code::NotFound);
+    let reader = Principal { role: Role::Reader, ..caller };
+    assert!(service.configuration(&reader, &id).is_ok());
+    let refused = service.analyse(&reader, &id, still(0.0), vec![flow(0.0)], |_| {}).await.unwrap_err();
+    assert_eq!(refused.code, Code::PermissionDenied);
+}
+
+#[tokio::test]
+async fn solutions_make_room_for_newer_ones() {
+    let caller = Principal::local();
+    let needed = {
+        let probe = service(Limits::default());
+        probe.create_configuration(&caller, wing()).await.unwrap().configuration.summary.memory
+    };
+    let service = service(Limits { solution_bytes: needed + needed / 2, ..Limits::default() });
+    let id = service.create_configuration(&caller, wing()).await.unwrap().configuration.id.clone();
+    let mut names = Vec::new();
+    for mach in [0.1, 0.2, 0.3, 0.4] {
+        let analysed = service.analyse(&caller, &id, still(mach), vec![flow(0.0)], |_| {}).await.unwrap();
+        names.push(analysed.solved.id.clone());
+        assert!(service.status().solutions.bytes as u64 <= needed + needed / 2);
+    }
+    assert!(service.status().solutions.evictions > 0);
+    let at = AnalysisPoint { analysis_id: names[0].clone(), geometry: None, flow: flow(0.0) };
+    let dropped = service.vjp(&caller, &id, at, vec![Outputs::default()]).await.unwrap_err();
+    assert_eq!((dropped.code, dropped.violations[0].field.as_str()), (Code::NotFound, "at.analysis_id"));
+}
+
+#[tokio::test]
+async fn who_goes_away_stops_the_work() {
+    let service = service(Limits::default());
+    let caller = Principal::local();
+    let mesh = meshes::sphere(20);
+    let definition = Definition {
+        cells: mesh.cells,
+        vertices: mesh.vertices,
+        cell_groups: Vec::new(),
+        vertex_groups: Vec::new(),
+        options: Options { trailing_edges: TrailingEdges::None, ..Options::default() },
+    };
+    let id = service.create_configuration(&caller, definition).await.unwrap().configuration.id.clone();
+    let (started, has_started) = tokio::sync::oneshot::channel();
+    let mut started = Some(started);
+    let work = tokio::spawn({
+        let (service, id) = (Arc::clone(&service), id.clone());
+        async move {
+            let tell = |_| {
+                if let Some(started) = started.take() {
+                    let _ = started.send(());
+                }
+            };
+            service.analyse(&Principal::local(), &id, still(0.0), vec![flow(0.0)], tell).await
+        }
+    });
+    has_started.await.unwrap();
+    work.abort();
+    while service.load() > 0 {
+        tokio::task::yield_now().await;
+    }
+    let status = service.status();
+    assert_eq!((status.solutions.entries, status.solutions.bytes), (0, 0));
+}
+
+#[tokio::test]
+async fn faults_of_vertices_have_their_class() {
+    let service = service(Limits::default());
+    let caller = Principal::local();
+    let id = service.create_configuration(&caller, wing()).await.unwrap().configuration.id.clone();
+    let ask = async |change: &dyn Fn(&mut Vec<[f64; 3]>)| {
+        let mut vertices = wing().vertices;
+        change(&mut vertices);
+        let geometry = Geometry { vertices: Some(vertices), mach: 0.0 };
+        service.analyse(&caller, &id, geometry, vec![flow(0.0)], |_| {}).await.unwrap_err()
+    };
+    let nan = ask(&|vertices| vertices[5][1] = f64::NAN).await;
+    assert_eq!((nan.code, nan.violations[0].field.as_str()), (Code::InvalidArgument, "vertices[5][1]"));
+    let flat = ask(&|vertices| vertices[17] = vertices[16]).await;
+    assert_eq!(flat.code, Code::FailedPrecondition, "{flat}");
+}
