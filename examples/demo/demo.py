@@ -90,12 +90,12 @@ def table_2_designs(setup: moldline.Setup) -> dict[str, np.ndarray]:
 
 
 class Server:
-    """`moldline serve` on a free port of the loopback interface."""
+    """`moldline serve`, or another service of the program's, on a free port of the loopback interface."""
 
-    def __init__(self, binary: Path, log: Path, *options: str) -> None:
+    def __init__(self, binary: Path, log: Path, *options: str, command: tuple[str, ...] = ("serve", "--store", "memory")) -> None:
         self._log = log.open("w")
-        command = [str(binary), "serve", "--listen", "127.0.0.1:0", "--store", "memory", *options]
-        self._process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=self._log, text=True)
+        arguments = [str(binary), *command, "--listen", "127.0.0.1:0", *options]
+        self._process = subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=self._log, text=True)
         assert self._process.stdout is not None
         line = self._process.stdout.readline()
         if not line:

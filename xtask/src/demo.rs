@@ -1,4 +1,4 @@
-//! The demonstration and the figures.
+//! The demonstration, the figures and the study.
 
 use std::path::PathBuf;
 
@@ -17,6 +17,15 @@ pub fn demo(pictures: bool) -> Outcome {
         script.arg("--no-pictures");
     }
     run("demo", &mut script)
+}
+
+/// The fuel-burn study: `examples/e175/study/study.py` against the release build, with what the caller passes on.
+pub fn study(arguments: &[String]) -> Outcome {
+    let python = Python::ready()?;
+    let binary = build_moldline(true)?;
+    let mut script = python.script("examples/e175/study/study.py");
+    script.arg("--binary").arg(binary).arg("--out").arg(root().join("out/study")).args(arguments);
+    run("study", &mut script)
 }
 
 /// The fillet against rho (Fig. 5 of the paper).

@@ -1,4 +1,4 @@
-//! The repository's own commands: `cargo xtask demo | figures | test | lint | clients | bench`.
+//! The repository's own commands: `cargo xtask demo | figures | study | test | lint | clients | bench`.
 //!
 //! They need Rust, a C compiler and Python >= 3.11 only; everything else comes from crates.io and PyPI, into `target/`, but
 //! for what the C++ client is built with: that comes from the distribution.
@@ -36,6 +36,12 @@ enum Command {
         #[arg(long)]
         large: Option<PathBuf>,
     },
+    /// The fuel-burn study of the E175 on both services; report, records and pictures go to out/study
+    Study {
+        /// For the script, such as --resume, --coarse, --check; see examples/e175/study/study.py
+        #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
+        arguments: Vec<String>,
+    },
     /// Everything: lints, all Rust tests, all Python tests
     Test,
     /// Formatting, clippy and Python types
@@ -57,6 +63,7 @@ fn main() -> ExitCode {
     let outcome = match Cli::parse().command {
         Command::Demo { no_pictures } => demo::demo(!no_pictures),
         Command::Figures { large } => demo::figures(large),
+        Command::Study { arguments } => demo::study(&arguments),
         Command::Test => check::test(),
         Command::Lint => check::lint(),
         Command::Clients => clients::Clients::built().map(drop),

@@ -11,8 +11,12 @@ use crate::process::{Outcome, command, root, run};
 /// Oldest Python, as (major, minor).
 const OLDEST: (u32, u32) = (3, 11);
 /// Requirements of everything that is run here, besides the client's own.
-const REQUIREMENTS: [&str; 3] =
-    ["examples/demo/requirements.txt", "examples/bench/requirements.txt", "tests/requirements.txt"];
+const REQUIREMENTS: [&str; 4] = [
+    "examples/demo/requirements.txt",
+    "examples/bench/requirements.txt",
+    "examples/e175/study/requirements.txt",
+    "tests/requirements.txt",
+];
 /// Requirements of what only `figures` and `bench --large` run.
 const MESHING: &str = "examples/e175/requirements.txt";
 
