@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import threading
@@ -261,3 +262,20 @@ def test_the_chain_of_both_services_is_that_of_differences(
         exact = chain.gradients(design) @ direction
         assert np.allclose(chain.differences(design, direction, 1e-4), exact, rtol=1e-5)
     sys.modules.pop("panel_gradient", None)
+
+
+def test_the_gradient_in_cpp_has_the_same_bits(
+    server: Server, panel_server: Server, panels: moldline.panel.Client, client: moldline.Client
+) -> None:
+    optimizer = Path(os.environ.get("MOLDLINE_OPTIMIZER", ROOT / "target/cpp-examples/moldline-optimizer"))
+    folder = ROOT / "tests/configurations/half"
+    command = [optimizer.with_name("moldline-gradient"), server.address, panel_server.address, folder, "0.3", "0.02"]
+    run = subprocess.run(list(map(str, command)), check=True, capture_output=True, text=True, timeout=120)
+    told = {line.split()[0]: float(line.split()[1]) for line in run.stdout.splitlines()}
+    with client.create_setup(folder).session() as session:
+        mesh, moved = session.setup.mesh, session.deform()
+        configuration = panels.create_configuration(mesh.vertices, mesh.cells, cell_groups=moldline.panel.parts(mesh))
+        analysis = configuration.analyze(moved.vertices, reference=Reference(1.0, 1.0, 1.0), mach=0.3, alpha=0.02)
+        gradient = session.vjp(vertices=configuration.vjp({"lift": 1.0}, at=analysis).vertices, at=moved).design
+        names = [variable.name for variable in session.setup.variables]
+    assert told == {"lift": analysis.coefficients.lift} | dict(zip(names, gradient.tolist(), strict=True))

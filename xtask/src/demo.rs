@@ -1,4 +1,4 @@
-//! The demonstration, the figures and the study.
+//! The demonstration, the figures, the study and the validation.
 
 use std::path::PathBuf;
 
@@ -26,6 +26,15 @@ pub fn study(arguments: &[String]) -> Outcome {
     let mut script = python.script("examples/e175/study/study.py");
     script.arg("--binary").arg(binary).arg("--out").arg(root().join("out/study")).args(arguments);
     run("study", &mut script)
+}
+
+/// The panel method where the flow is known: `examples/panel/validate.py` against the release build; writes docs/validation.md.
+pub fn validate_panel() -> Outcome {
+    let python = Python::ready()?;
+    let binary = build_moldline(true)?;
+    let mut script = python.script("examples/panel/validate.py");
+    script.arg("--binary").arg(binary).arg("--out").arg(root().join("out/panel"));
+    run("validation of the panel method", script.arg("--docs").arg(root().join("docs")))
 }
 
 /// The fillet against rho (Fig. 5 of the paper).

@@ -1,4 +1,4 @@
-//! The repository's own commands: `cargo xtask demo | figures | study | test | lint | clients | bench`.
+//! The repository's own commands: `cargo xtask demo | figures | study | validate-panel | test | lint | clients | bench`.
 //!
 //! They need Rust, a C compiler and Python >= 3.11 only; everything else comes from crates.io and PyPI, into `target/`, but
 //! for what the C++ client is built with: that comes from the distribution.
@@ -42,6 +42,8 @@ enum Command {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         arguments: Vec<String>,
     },
+    /// The panel method where the flow is known; numbers and pictures go to out/panel, the page to docs/validation.md
+    ValidatePanel,
     /// Everything: lints, all Rust tests, all Python tests
     Test,
     /// Formatting, clippy and Python types
@@ -64,6 +66,7 @@ fn main() -> ExitCode {
         Command::Demo { no_pictures } => demo::demo(!no_pictures),
         Command::Figures { large } => demo::figures(large),
         Command::Study { arguments } => demo::study(&arguments),
+        Command::ValidatePanel => demo::validate_panel(),
         Command::Test => check::test(),
         Command::Lint => check::lint(),
         Command::Clients => clients::Clients::built().map(drop),

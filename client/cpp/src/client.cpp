@@ -5,6 +5,7 @@
 #include <stdexcept>
 #include <thread>
 
+#include "blocks.hpp"
 #include "connection.hpp"
 #include "convert.hpp"
 #include "moldline/errors.hpp"
@@ -12,15 +13,15 @@
 
 namespace moldline {
 
+using internal::add;
+using internal::append;
 using internal::Budget;
 using internal::Connection;
+using internal::length;
+using internal::read_all;
 using Stub = v1::MeshService::Stub;
 
 namespace {
-
-/// Vectors and bytes of one request, within the server's usual limits; larger blocks go in several requests.
-constexpr std::size_t most_vectors = 64;
-constexpr std::size_t most_bytes = 32 << 20;
 
 std::string request_id(const std::string& given) { return given.empty() ? internal::new_request_id() : given; }
 
@@ -33,54 +34,12 @@ void gone(const Call& call) {
   }
 }
 
-/// Reads a stream to its end and tells; an exception of `take` cancels the call, and goes on once it has ended.
-template <class Stream, class Message, class Take>
-void read_all(Stream& stream, grpc::ClientContext& context, Message& message, const Take& take, std::exception_ptr& thrown) {
-  while (stream.Read(&message)) {
-    if (thrown) continue;
-    try {
-      take(message);
-    } catch (...) {
-      thrown = std::current_exception();
-      context.TryCancel();
-    }
-  }
-}
-
-/// Values of each of `count` vectors.
-template <class T>
-std::size_t length(View<T> block, std::size_t count, const char* name) {
-  if (count == 0 || block.size() % count != 0) {
-    throw std::invalid_argument(
-        std::string(name) + " has " + std::to_string(block.size()) + " values, which are not " + std::to_string(count) +
-        " vectors of the same length");
-  }
-  return block.size() / count;
-}
-
 /// Calls with the first vector and the number of vectors of pieces that fit one request.
 template <class Call>
 void pieces(const SetupFacts& setup, std::size_t count, const Call& call) {
   std::size_t points = setup.vertex_count;
   for (const std::size_t more : setup.control_point_counts) points += more;
-  const std::size_t step =
-      std::clamp<std::size_t>(most_bytes / (sizeof(Point) * std::max<std::size_t>(points, 1)), 1, most_vectors);
-  for (std::size_t first = 0; first < count; first += step) call(first, std::min(step, count - first));
-}
-
-template <class T>
-void append(std::vector<T>& all, std::vector<T> part) {
-  if (all.empty()) {
-    all = std::move(part);
-  } else {
-    all.insert(all.end(), part.begin(), part.end());
-  }
-}
-
-void add(Timings& sum, const v1::Timings& part) {
-  const Timings timings = internal::timings(part);
-  sum.queue += timings.queue;
-  sum.engine += timings.engine;
+  internal::pieces(points, count, call);
 }
 
 template <class Named>

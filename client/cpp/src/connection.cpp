@@ -68,12 +68,11 @@ bool again(const Failure& failure) {
 
 }  // namespace
 
-Connection::Connection(const std::string& address, const Options& options)
+Caller::Caller(const std::string& address, const Options& options)
     : options_(options),
-      stub_(v1::MeshService::NewStub(
-          grpc::CreateCustomChannel(address, credentials(options.tls), arguments(options.tls)))) {}
+      channel_(grpc::CreateCustomChannel(address, credentials(options.tls), arguments(options.tls))) {}
 
-Budget Connection::budget(const CallOptions& options, Seconds otherwise) const {
+Budget Caller::budget(const CallOptions& options, Seconds otherwise) const {
   const Seconds timeout = options.timeout.value_or(otherwise);
   // More than a century is no limit: the clock could not count it.
   const bool limited = timeout < std::chrono::hours(24 * 365 * 100);
@@ -82,7 +81,7 @@ Budget Connection::budget(const CallOptions& options, Seconds otherwise) const {
       options.cancellation};
 }
 
-void Connection::attempts(
+void Caller::attempts(
     const Budget& budget, const std::function<grpc::Status(grpc::ClientContext&)>& attempt) const {
   Seconds longest = options_.retry.first_pause;
   for (int failed = 1;; ++failed) {

@@ -46,10 +46,11 @@ std::size_t length(const v1::Array& array) {
   return bytes / sizeof(T);
 }
 
-void write(const void* data, std::size_t bytes, std::initializer_list<std::size_t> shape, v1::Array& array) {
-  array.set_dtype(v1::DATA_TYPE_FLOAT64);
+template <class T>
+void write_values(View<T> values, std::initializer_list<std::size_t> shape, v1::Array& array) {
+  array.set_dtype(Element<T>::type);
   for (const std::size_t extent : shape) array.add_shape(extent);
-  array.set_data(data, bytes);
+  array.set_data(values.data(), values.size() * sizeof(T));
 }
 
 Time time(double seconds) { return Time(Seconds(seconds)); }
@@ -86,11 +87,15 @@ Work work(const v1::Work& w) {
 }  // namespace
 
 void write(View<double> values, std::initializer_list<std::size_t> shape, v1::Array& array) {
-  write(values.data(), values.size() * sizeof(double), shape, array);
+  write_values(values, shape, array);
 }
 
 void write(View<Point> points, std::initializer_list<std::size_t> shape, v1::Array& array) {
-  write(points.data(), points.size() * sizeof(Point), shape, array);
+  write_values(points, shape, array);
+}
+
+void write(View<std::uint32_t> indices, std::initializer_list<std::size_t> shape, v1::Array& array) {
+  write_values(indices, shape, array);
 }
 
 template <class T>
@@ -110,6 +115,9 @@ template void read_to(const v1::Array&, double*, std::size_t);
 template void read_to(const v1::Array&, Point*, std::size_t);
 template std::vector<double> read(const v1::Array&);
 template std::vector<Point> read(const v1::Array&);
+template std::vector<std::uint32_t> read(const v1::Array&);
+template std::vector<std::array<std::uint32_t, 2>> read(const v1::Array&);
+template std::vector<std::array<double, 2>> read(const v1::Array&);
 
 SetupFacts setup_facts(const v1::SetupDescription& message, bool built) {
   SetupFacts facts;

@@ -13,6 +13,8 @@ namespace moldline::internal {
 /// Writes float64 values with the shape, whose product is their number.
 void write(View<double> values, std::initializer_list<std::size_t> shape, v1::Array& array);
 void write(View<Point> points, std::initializer_list<std::size_t> shape, v1::Array& array);
+/// The same for indices.
+void write(View<std::uint32_t> indices, std::initializer_list<std::size_t> shape, v1::Array& array);
 
 /// Values of an array; throws `InternalError` if it contradicts itself or is not of their type.
 template <class T>

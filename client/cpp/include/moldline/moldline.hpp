@@ -13,3 +13,4 @@
 #include "moldline/client.hpp"  // IWYU pragma: export
 #include "moldline/errors.hpp"  // IWYU pragma: export
 #include "moldline/model.hpp"   // IWYU pragma: export
+#include "moldline/panel.hpp"   // IWYU pragma: export

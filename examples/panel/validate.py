@@ -1,0 +1,330 @@
+"""What the panel method gives where the flow is known: closed forms, published results, refinement, consistency, time.
+
+    python validate.py --binary ../../target/release/moldline --out ../../out/panel --docs ../../docs
+
+Writes validation.json and pictures to `--out`, and the page validation.md with its pictures to `--docs` if that is named.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import moldline
+import moldline.panel
+import numpy as np
+from moldline.panel import Analysis, Configuration, Reference
+from numpy.typing import NDArray
+from scipy.integrate import quad
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt  # noqa: E402
+
+HERE = Path(__file__).resolve().parent
+sys.path.append(str(HERE.parent / "demo"))
+
+from demo import E175, Server  # noqa: E402
+from meshes import Array, Cells, Wing, sphere  # noqa: E402
+from pictures import beside  # noqa: E402
+from render import View, colour_bar, ramp, render  # noqa: E402
+
+#: Angle of attack of the wings.
+ALPHA = np.radians(5.0)
+
+
+@dataclass(frozen=True)
+class Row:
+    """A number, and between which it should be."""
+
+    name: str
+    value: float
+    unit: str
+    least: float | None = None
+    most: float | None = None
+    #: Published, of another code or by a closed form.
+    peer: float | None = None
+
+    @property
+    def reached(self) -> bool | None:
+        if self.least is None and self.most is None:
+            return None
+        return (self.least is None or self.value >= self.least) and (self.most is None or self.value <= self.most)
+
+
+class Validation:
+    """The cases, one after the other, against one panel service."""
+
+    def __init__(self, panels: moldline.panel.Client, progress: Callable[[str], None]) -> None:
+        self.panels = panels
+        self.tell = progress
+        self.rows: list[Row] = []
+        self.tables: dict[str, list[dict[str, float]]] = {}
+        self.curves: dict[str, Any] = {}
+
+    def row(self, name: str, value: float, unit: str = "1", **limits: float) -> None:
+        self.rows.append(Row(name, float(value), unit, **limits))
+        self.tell(f"{name}: {value:.6g}")
+
+    def configuration(self, mesh: tuple[Array, Cells], **options: Any) -> Configuration:
+        return self.panels.create_configuration(*mesh, **options)
+
+    def ellipsoids(self) -> None:
+        """Closed forms: on an ellipsoid in a stream along an axis the velocity is a constant vector's tangential part."""
+        for name, axes in (("sphere", (1.0, 1.0, 1.0)), ("ellipsoid 3 : 1 : 0.6", (3.0, 1.0, 0.6))):
+            table = []
+            for n in (8, 16, 32):
+                points, cells = sphere(n)
+                vertices = points * axes
+                configuration = self.configuration((vertices, cells), trailing_edges="none")
+                found = configuration.analyze(reference=Reference(area=1.0, chord=1.0, span=1.0))
+                error = found.cp - ellipsoid_pressure(axes, points[cells].mean(axis=1))
+                table.append({
+                    "cells": len(cells),
+                    "rms": float(np.sqrt(np.mean(error**2))),
+                    "largest": float(np.abs(error).max()),
+                    "drag": found.coefficients.pressure_drag,
+                })  # fmt: skip
+            self.tables[name] = table
+            if name == "sphere":
+                self.row("sphere, 1,536 cells: rms error of C_p", table[1]["rms"], most=0.004, peer=0.0066)
+            else:
+                self.row(f"{name}, 1,536 cells: rms error of C_p", table[1]["rms"])
+            for error in ("rms", "largest"):
+                order = np.log2(table[1][error] / table[2][error])
+                # At the corners of the cube the cells do not become similar, which costs the largest error a little.
+                self.row(f"{name}: order of the {error} error", order, least=1.7)
+
+    def wing(self, name: str, wing: Wing, span: float, grids: tuple[tuple[int, int], ...]) -> list[Analysis]:
+        """A wing on several grids: lift, drag, and pressure against circulation."""
+        table, analyses = [], []
+        for around, along in grids:
+            area = wing.area(along)
+            reference = Reference(area=area, chord=area / span, span=span, point=(0.25, 0.0, 0.0))
+            configuration = self.configuration(wing.mesh(around, along))
+            found = configuration.analyze(reference=reference, alpha=ALPHA)
+            lift, drag = found.coefficients.lift, found.coefficients.induced_drag
+            analyses.append(found)
+            table.append({
+                "around": around,
+                "along": along,
+                "C_L": lift,
+                "C_Di": drag,
+                "span efficiency": lift**2 / (np.pi * span**2 / area * drag),
+                "pressure over circulation, %": 100 * found.disagreement,
+                "C_Di from pressure": found.coefficients.pressure_drag,
+            })  # fmt: skip
+        self.tables[name] = table
+        worst = max(abs(row["pressure over circulation, %"]) for row in table[1:])
+        self.row(f"{name}: pressure against circulation", worst, "%", most=1.0)
+        return analyses
+
+    def wings(self) -> None:
+        """Wings of NACA 0012 sections at 5 degrees."""
+        grids = ((32, 20), (60, 40), (100, 60))
+        self.wing("rectangular wing", Wing(), 8.0, grids)
+        row = self.tables["rectangular wing"][1]
+        self.row("rectangular wing, 60 x 40: C_L", row["C_L"], least=0.99 * 0.4315, most=1.01 * 0.4315, peer=0.4315)
+        drag = 0.00738
+        self.row("rectangular wing, 60 x 40: C_Di", row["C_Di"], least=0.98 * drag, most=1.02 * drag, peer=drag)
+
+        swept = Wing(3.0, leading_edge=lambda eta: 3.0 * np.tan(np.radians(35.0)) * np.abs(eta))
+        self.wing("wing swept by 35 degrees, aspect ratio 6", swept, 6.0, grids)
+
+        def chord(eta: Array) -> Array:
+            return np.sqrt(1 - eta**2)
+
+        # The quarter chord is straight; at the very tip there would be no chord.
+        elliptic = Wing(4.0, chord, lambda eta: -0.25 * chord(eta), cut=0.999)
+        analyses = self.wing("elliptic wing", elliptic, 8.0 * elliptic.cut, grids)
+        for row in self.tables["elliptic wing"][1:]:
+            name = f"elliptic wing, {row['around']} x {row['along']}: span efficiency"
+            self.row(name, row["span efficiency"], least=0.99, most=1.01, peer=1.0)
+        sections = analyses[-1].sections
+        self.curves["elliptic wing"] = (sections.middles[:, 1] / 4.0, sections.loads)
+
+    def rows_of_doublets(self) -> None:
+        """Nothing flows inside a closed body with a constant doublet: a stream along any axis leaves no net force."""
+        points, cells = sphere(12)
+        random = np.random.default_rng(1)
+        warped = points * (1 + 0.05 * random.normal(size=(len(points), 1)))
+        for name, vertices in (("sphere", points), ("warped sphere", warped)):
+            configuration = self.configuration((vertices, cells), trailing_edges="none")
+            found = configuration.analyze(reference=Reference(area=np.pi, chord=1.0, span=1.0), alpha=0.3)
+            self.row(f"{name}, 864 cells: force that should be zero", np.abs(found.total.force).max())
+
+    def aircraft(self, setup: moldline.Setup, mach: float) -> None:
+        """The E175: agreement, time, memory."""
+        mesh = setup.mesh
+        configuration = self.panels.create_configuration(
+            mesh.vertices, mesh.cells, cell_groups=moldline.panel.parts(mesh)
+        )
+        functions = {function.name: function.value for function in setup.functions}
+        reference = Reference(
+            area=functions["wing.planform_area"],
+            chord=functions["wing.mean_aerodynamic_chord"],
+            span=functions["wing.span"],
+            point=(14.0, 0.0, 0.95),
+        )
+        name = f"E175, {configuration.cell_count:,} cells"
+        alphas = np.radians([0.0, 2.0, 4.0])
+        begun = time.perf_counter()
+        analyses = configuration.sweep(alphas, reference=reference, mach=mach)
+        seconds = time.perf_counter() - begun
+        table = []
+        for alpha, found in zip(alphas, analyses, strict=True):
+            of = found.coefficients
+            table.append({
+                "alpha, deg": float(np.degrees(alpha)),
+                "C_L": of.lift,
+                "C_L from pressure": of.pressure_lift,
+                "pressure over circulation, %": 100 * found.disagreement,
+                "C_Di": of.induced_drag,
+                "C_M": of.moment,
+                "neutral point, m": of.neutral_point,
+            })  # fmt: skip
+        self.tables[f"{name}, Mach {mach:g}"] = table
+        worst = max(abs(row["pressure over circulation, %"]) for row in table)
+        self.row(f"{name}: pressure against circulation", worst, "%", most=1.0)
+        self.row(f"{name}: solution at three angles with all forces, and its way", seconds, "s", most=12.0)
+        self.row(f"{name}: memory as it is stated", configuration.memory / 1e9, "GB", most=1.5)
+        at = analyses[1]
+        solution = analyses[0].engine_seconds
+        for count in (1, 6):
+            weights = np.eye(9)[:count]
+            gradient = configuration.vjp(weights if count > 1 else weights[0], at=at)
+            ratio = gradient.engine_seconds / solution
+            self.row(f"{name}: adjoint of {count} over the solution", ratio, most=1.0 if count == 1 else 2.0)
+        pairs = 2 * configuration.unknowns**2
+        self.row(f"{name}: solution, a pair of panels and image", 1e9 * solution / pairs, "ns")
+        self.curves["E175"] = (mesh, at)
+
+
+def ellipsoid_pressure(axes: tuple[float, float, float], points: Array) -> Array:
+    """C_p where the unit sphere's `points`, scaled by the semi-axes, meet the ellipsoid; the stream is along x."""
+    squares = np.array(axes) ** 2
+
+    def integrand(t: float) -> float:
+        return float(1 / ((squares[0] + t) * np.sqrt(np.prod(squares + t))))
+
+    share = np.prod(axes) * quad(integrand, 0.0, np.inf, epsabs=1e-13, epsrel=1e-12)[0]
+    normals = points / np.linalg.norm(points, axis=1)[:, None] / axes
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    velocity = np.array([2 / (2 - share), 0.0, 0.0])
+    tangential = velocity - (normals @ velocity)[:, None] * normals
+    return np.asarray(1 - np.sum(tangential**2, axis=1))
+
+
+def draw(found: Validation, folder: Path) -> None:
+    """Errors against the size of cells, the load of the elliptic wing, the pressure on the E175."""
+    figure, (errors, load) = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
+    for name in ("sphere", "ellipsoid 3 : 1 : 0.6"):
+        table = found.tables[name]
+        size = [row["cells"] ** -0.5 for row in table]
+        for kind, style in (("rms", "o-"), ("largest", "s--")):
+            errors.loglog(size, [row[kind] for row in table], style, label=f"{name}, {kind}")
+    ends = np.array(errors.get_xlim())
+    errors.loglog(ends, 2.0 * ends**2, ":", color="grey", label="second order")
+    errors.set(xlabel="cells$^{-1/2}$", ylabel="error of $C_p$", title="Closed forms")
+    errors.legend(fontsize=8)
+    eta, loads = found.curves["elliptic wing"]
+    eta, loads = np.concatenate([-eta, eta]), np.concatenate([loads, loads])
+    order = np.argsort(eta)
+    fine = np.linspace(-1, 1, 400)
+    ideal = found.tables["elliptic wing"][-1]["C_L"] * np.sqrt(1 - fine**2)
+    load.plot(fine, ideal, color="grey", label="ellipse of the same lift")
+    load.plot(eta[order], loads[order], ".", label="sections")
+    load.set(xlabel="share of the half span", ylabel="section lift coefficient times chord, m", title="Elliptic wing, 5 degrees")
+    load.legend(fontsize=8)
+    figure.savefig(folder / "panel-closed-forms.png", dpi=110)
+    plt.close(figure)
+
+    mesh, analysis = found.curves["E175"]
+    low, high = -1.0, 0.6
+    colours = ramp(analysis.cp, low, high)
+    owner = np.asarray(mesh.cell_owner)
+    centre = tuple((mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2)
+    above = View(centre, (-0.6, -0.9, 1.1), 24.0)
+    below = View(centre, (-0.6, -0.9, -1.1), 24.0)
+    images = [
+        render(mesh.vertices, mesh.cells, owner, colours, view, (1200, 860), line=0.0) for view in (above, below)
+    ]
+    colour_bar(images[0], low, high, "C_p, Mach 0.7, 2 degrees")
+    beside(images, 2).save(folder / "panel-e175.png")
+
+
+def page(found: Validation) -> str:
+    """The page of the documents."""
+    lines = [
+        "# Validation of the panel method",
+        "",
+        "Made by `cargo xtask validate-panel`, on 2 cores, through `moldline panel serve` and its Python client. Goals and what others publish are beside.",
+        "",
+        "| what | found | unit | goal | others | reached |",
+        "|---|---|---|---|---|---|",
+    ]
+    lines += [f"| {' | '.join(cells)} |" for cells in map(printed, found.rows)]
+    lines += ["", "![closed forms](images/panel-closed-forms.png)", "", "![E175](images/panel-e175.png)", ""]
+    for name, table in found.tables.items():
+        lines += [f"## {name[0].upper()}{name[1:]}", "", f"| {' | '.join(table[0])} |", "|---" * len(table[0]) + "|"]
+        lines += [f"| {' | '.join(f'{value:.5g}' for value in row.values())} |" for row in table]
+        lines.append("")
+    return "\n".join(lines) + (HERE / "remarks.md").read_text()
+
+
+def printed(row: Row) -> list[str]:
+    bounds = (row.least, row.most)
+    goal = {
+        (True, True): "",
+        (False, True): f">= {row.least:.4g}" if row.least is not None else "",
+        (True, False): f"<= {row.most:.4g}" if row.most is not None else "",
+        (False, False): f"{row.least:.4g} to {row.most:.4g}" if None not in bounds else "",
+    }[row.least is None, row.most is None]
+    peer = "" if row.peer is None else f"{row.peer:.4g}"
+    return [row.name, f"{row.value:.4g}", row.unit, goal, peer, {None: "", True: "yes", False: "**no**"}[row.reached]]
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--binary", type=Path, required=True, help="the moldline program; it is started")
+    parser.add_argument("--out", type=Path, required=True, help="folder to write to")
+    parser.add_argument("--docs", type=Path, help="folder of the documents, to write validation.md to")
+    arguments = parser.parse_args()
+    out: Path = arguments.out
+    out.mkdir(parents=True, exist_ok=True)
+    with (
+        Server(arguments.binary, out / "mesh-service.log") as mesh_server,
+        Server(arguments.binary, out / "panel-service.log", command=("panel", "serve")) as panel_server,
+        moldline.Client(mesh_server.address) as meshes,
+        moldline.panel.Client(panel_server.address) as panels,
+    ):
+        found = Validation(panels, lambda line: print(line, flush=True))
+        found.ellipsoids()
+        found.rows_of_doublets()
+        found.wings()
+        found.aircraft(meshes.create_setup(E175), mach=0.7)
+    report = {
+        "cores": os.cpu_count(),
+        "rows": [asdict(row) | {"reached": row.reached} for row in found.rows],
+        "tables": found.tables,
+    }
+    (out / "validation.json").write_text(json.dumps(report, indent=1) + "\n")
+    draw(found, out)
+    if arguments.docs:
+        (arguments.docs / "validation.md").write_text(page(found))
+        draw(found, arguments.docs / "images")
+    missed = [row.name for row in found.rows if row.reached is False]
+    print(f"\n{sum(row.reached is True for row in found.rows)} goals reached, {len(missed)} missed: {'; '.join(missed)}")
+    print(f"written to {out}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
