@@ -30,6 +30,26 @@ def sphere(n: int) -> tuple[Array, Cells]:
     return points[first], index.reshape(-1, 4).astype(np.uint32)
 
 
+def globe(n: int) -> tuple[Array, Cells]:
+    """The unit sphere by longitude and latitude, 3 `n` around and 2 `n` from pole to pole, which are at z = -1 and 1."""
+    theta, phi = np.pi * np.arange(1, 2 * n) / (2 * n), 2 * np.pi * np.arange(3 * n) / (3 * n)
+    rings = np.stack(
+        [np.outer(np.sin(theta), np.cos(phi)), np.outer(np.sin(theta), np.sin(phi)), np.outer(np.cos(theta), np.ones(3 * n))],
+        axis=-1,
+    )
+    vertices = np.concatenate([rings.reshape(-1, 3), [[0, 0, 1], [0, 0, -1]]])
+    index = np.arange(rings.shape[0] * rings.shape[1]).reshape(rings.shape[:2])
+    turned = np.roll(index, -1, axis=1)
+    none = np.full(3 * n, NO_VERTEX)
+    north, south = np.full(3 * n, len(vertices) - 2), np.full(3 * n, len(vertices) - 1)
+    cells = [
+        np.stack([index[:-1], index[1:], turned[1:], turned[:-1]], axis=-1).reshape(-1, 4),
+        np.stack([north, index[0], turned[0], none], axis=-1),
+        np.stack([south, turned[-1], index[-1], none], axis=-1),
+    ]
+    return vertices, np.concatenate(cells).astype(np.uint32)
+
+
 @dataclass(frozen=True)
 class Wing:
     """A wing with NACA 0012 sections, a sharp trailing edge and flat tips. Cells lie closer towards edges and tips."""

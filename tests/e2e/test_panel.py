@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 import threading
@@ -125,7 +126,7 @@ def test_openmdao_agrees_with_differences(
     # One number moves the vertices: as many differences, not three for each vertex.
     mode = np.random.default_rng(5).normal(size=(configuration.vertex_count, 3)) * [1e-3, 0.0, 1e-3]
     problem = om.Problem(reports=False)
-    morph = om.ExecComp("vertices = base + s * mode", vertices={"shape": mode.shape}, base=wing()[0], mode=mode, s=0.5)
+    morph = om.ExecComp("vertices = base + s * mode", vertices={"shape": mode.shape, "units": "m"}, base=wing()[0], mode=mode, s=0.5)
     problem.model.add_subsystem("morph", morph)
     component = PanelComponent(
         configuration=configuration, reference=REFERENCE, vertices=wing()[0], coefficients=("lift", "induced_drag"), section_loads=True
@@ -245,18 +246,21 @@ def test_the_command_line_gives_the_same_numbers(binary: Path, configuration: Co
 
 
 def test_the_chain_of_both_services_is_that_of_differences(
-    panels: moldline.panel.Client, client: moldline.Client, monkeypatch: pytest.MonkeyPatch
+    panels: moldline.panel.Client, client: moldline.Client, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """What the E175 example does, on a small wing-body."""
-    monkeypatch.syspath_prepend(str(ROOT / "examples/e175"))
-    from panel_gradient import Chain, scaled_direction
+    """What the E175 example does, on the coarse mesh."""
+    e175 = ROOT / "examples/e175"
+    monkeypatch.syspath_prepend(str(e175))
+    from panel_gradient import E175, Chain, scaled_direction
 
-    with client.create_setup(ROOT / "tests/configurations/half").session() as session:
+    shutil.copytree(e175 / "geometry", tmp_path / "geometry")
+    shutil.copy(e175 / "setup.toml", tmp_path)
+    shutil.copy(e175 / "study/mesh-coarse.msh", tmp_path / "mesh.msh")
+    with client.create_setup(tmp_path).session() as session:
         mesh = session.setup.mesh
         configuration = panels.create_configuration(mesh.vertices, mesh.cells, cell_groups=moldline.panel.parts(mesh))
-        assert configuration.symmetric and len(configuration.roots) == 1
-        reference = Reference(area=9.0, chord=1.2, span=8.0, point=(3.5, 0.0, 0.0))
-        chain = Chain(session, configuration, ("lift", "induced_drag"), reference, mach=0.3, alpha=0.02)
+        assert configuration.symmetric and len(configuration.roots) == 2
+        chain = Chain(session, configuration, ("lift", "induced_drag"), E175, mach=0.7, alpha=0.02)
         design = session.setup.baseline
         direction = 0.1 * scaled_direction(session, np.random.default_rng(2))
         exact = chain.gradients(design) @ direction
