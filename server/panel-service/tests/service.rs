@@ -63,8 +63,11 @@ async fn analyses_and_products_are_those_of_the_panel_method() {
 
     let seed = Outputs { scalars: Scalars { lift: 1.0, ..Scalars::default() }, ..Outputs::default() };
     let at = |id: &str, geometry| AnalysisPoint { analysis_id: id.to_owned(), geometry, flow: flow(0.05) };
-    let expected =
-        solution.linearise(&flow(0.05)).unwrap().vjp(std::slice::from_ref(&seed), &moldline_panel::Silent).unwrap();
+    let expected = solution
+        .linearise(&flow(0.05))
+        .unwrap()
+        .vjp(std::slice::from_ref(&seed), &moldline_panel::Silent)
+        .unwrap();
     let by_id = service.vjp(&caller, id, at(&analysed.solved.id, None), vec![seed.clone()]).await.unwrap();
     assert_eq!(by_id.value, expected);
     // Solved again by a service that never made it.

@@ -6,6 +6,8 @@ import math
 import os
 from collections.abc import Iterable, Mapping
 from functools import cached_property
+from types import TracebackType
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray

@@ -16,7 +16,7 @@ from __future__ import annotations
 import os
 from collections.abc import Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import Any, Literal, Union
+from typing import Any, Literal, TypeVar, Union
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,6 +32,7 @@ from moldline.v1 import array_pb2, panel_service_pb2_grpc
 from moldline.v1 import panel_service_pb2 as wire
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
 
 #: Scalar outputs, in the order of blocks of them.
 COEFFICIENTS = (
@@ -442,7 +443,7 @@ class Configuration:
         cells = arrays.from_wire(self._request.cells)
         write_cells(path, vertices, cells, {"cp": analysis.vertex_cp}, {"cp": analysis.cp})
 
-    def _run(self, operation: Operation[Any], timeout: float | None) -> Any:
+    def _run(self, operation: Operation[T], timeout: float | None) -> T:
         return self._client._run(_again(operation, self._request, self.id), timeout)
 
 
@@ -453,25 +454,25 @@ def parts(mesh: Mesh) -> dict[str, NDArray[np.uint32]]:
 
 
 def _create(request: wire.CreateConfigurationRequest) -> Operation[wire.Configuration]:
-    response = yield Call("CreateConfiguration", request)
+    response: wire.CreateConfigurationResponse = yield Call("CreateConfiguration", request)
     return response.configuration
 
 
 def _get(configuration_id: str) -> Operation[wire.Configuration]:
-    response = yield Call("GetConfiguration", wire.GetConfigurationRequest(configuration_id=configuration_id))
+    response: wire.GetConfigurationResponse = yield Call("GetConfiguration", wire.GetConfigurationRequest(configuration_id=configuration_id))
     return response.configuration
 
 
 def _again(
-    operation: Operation[Any], request: wire.CreateConfigurationRequest | None, configuration_id: str
-) -> Generator[Call, Any, Any]:
+    operation: Operation[T], request: wire.CreateConfigurationRequest | None, configuration_id: str
+) -> Generator[Call, Any, T]:
     """The operation; a configuration that the server has dropped is sent again, and the call repeated."""
     step, value = operation.send, None
     while True:
         try:
             call = step(value)
         except StopIteration as end:
-            return end.value
+            return end.value  # type: ignore[no-any-return]  # What the operation returns is a T.
         try:
             try:
                 step, value = operation.send, (yield call)
@@ -523,8 +524,9 @@ def _vjp(configuration_id: str, blocks: Blocks, at: At) -> Operation[FlowGradien
             arrays.write(block, getattr(request.seeds, name))
         parts.append((yield Call("ApplyAdjoint", request)))
     names = ("vertices", "alpha", "sideslip", "mach", "area", "chord", "point")
-    gradients = [blocks.joined(getattr(part.gradients, name) for part in parts) for name in names]
-    return FlowGradients(*gradients, *_seconds(parts))
+    gradients = {name: blocks.joined(getattr(part.gradients, name) for part in parts) for name in names}
+    engine, queue = _seconds(parts)
+    return FlowGradients(**gradients, engine_seconds=engine, queue_seconds=queue)
 
 
 def _seconds(parts: list[Any]) -> tuple[float, float]:
