@@ -1,4 +1,4 @@
-//! Times on the E175 mesh of the examples: `cargo bench -p moldline-panel`. Forces, times and memory, no pass or fail.
+//! Times on the E175 mesh of the examples: `cargo bench -p moldline-panel [-- Single]`. Forces, times and memory, no pass or fail.
 
 use std::{
     sync::{Arc, Mutex},
@@ -69,9 +69,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let reference = Reference { area: 68.2, chord: 3.42, span: 23.82, point: [14.0, 0.0, 0.5] };
     let flow = |degrees: f64| Flow { alpha: degrees.to_radians(), sideslip: 0.0, reference };
     let all = [Solver::Single, Solver::Iterative, Solver::Double];
-    let chosen = std::env::args().nth(1).unwrap_or_default();
-    for solver in all.into_iter().filter(|s| format!("{s:?}").contains(chosen.trim_start_matches("--bench")))
-    {
+    // Cargo adds an option of its own.
+    let chosen = std::env::args().skip(1).find(|argument| !argument.starts_with("--")).unwrap_or_default();
+    for solver in all.into_iter().filter(|s| format!("{s:?}").contains(&chosen)) {
         let options =
             Options { trailing_edges: TrailingEdges::Groups(names.clone()), solver, ..Options::default() };
         let setup = PanelSetup::new(&mesh, options)?;

@@ -21,6 +21,10 @@ mod lanes;
 mod linearisation;
 mod lu;
 mod matrix;
+#[cfg(test)]
+#[path = "../tests/suite/meshes.rs"]
+#[allow(dead_code, clippy::unwrap_used, reason = "shared with the tests of the whole crate")]
+mod meshes;
 mod monitor;
 mod options;
 mod pressure;

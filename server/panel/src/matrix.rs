@@ -1,10 +1,9 @@
 //! The dense matrix, stored as it is made: tiles of rows, and within a tile column after column.
 
 use faer::{Mat, traits::RealField};
-use pulp::Arch;
 use rayon::prelude::*;
 
-use crate::lanes::{LANES, Lane};
+use crate::lanes::{LANES, Lane, wide};
 
 /// Columns that one task handles.
 const COLUMNS: usize = 32;
@@ -42,14 +41,13 @@ impl Matrix {
 
     /// `A x` for several x.
     pub fn times(&self, columns: &[Vec<f64>]) -> Vec<Vec<f64>> {
-        let arch = Arch::new();
         let tiles: Vec<Vec<Lane>> = self
             .lanes
             .par_chunks(self.size.max(1))
             .map(|tile| {
                 // A piece of the tile serves all columns while it is near.
                 let mut sums = vec![[[0.0; LANES]; 2]; columns.len()];
-                arch.dispatch(
+                wide(
                     #[inline(always)]
                     || {
                         for (piece, entries) in tile.chunks(COLUMNS).enumerate() {
@@ -76,14 +74,13 @@ impl Matrix {
                 padded
             })
             .collect();
-        let arch = Arch::new();
         let chunks: Vec<Vec<[f64; COLUMNS]>> = (0..self.size.div_ceil(COLUMNS))
             .into_par_iter()
             .map(|chunk| {
                 let first = chunk * COLUMNS;
                 let last = (first + COLUMNS).min(self.size);
                 let mut sums = vec![[[0.0; LANES]; COLUMNS]; columns.len()];
-                arch.dispatch(
+                wide(
                     #[inline(always)]
                     || {
                         for (index, tile) in self.lanes.chunks(self.size.max(1)).enumerate() {

@@ -112,7 +112,7 @@ impl PanelSetup {
     }
 }
 
-/// Bytes that a solution needs at its peak: matrix and factors, and the seeds of six adjoints on eight parts.
+/// Bytes that a solution needs at its peak: matrix and factors, and what six adjoints gather from the pairs.
 fn memory(unknowns: usize, points: usize, solver: Solver) -> u64 {
     solver.bytes(unknowns) + 8 * (unknowns as u64 * 600 + points as u64 * 200)
 }

@@ -4,7 +4,7 @@ use faer::Mat;
 use moldline_mesh::Vector3;
 use rayon::prelude::*;
 
-use crate::{Monitor, PanelError, Solver, Stage, lu::Factor, matrix::Matrix};
+use crate::{Monitor, PanelError, Solver, Stage, lu::Factor, matrix::Matrix, topology::bisect};
 
 /// Unknowns up to which the automatic choice factorises in double precision.
 const DOUBLE: usize = 3000;
@@ -296,7 +296,7 @@ struct Blocks {
 impl Blocks {
     fn new(matrix: &Matrix, centres: &[Vector3]) -> Result<Self, PanelError> {
         let mut members = Vec::new();
-        bisect((0..centres.len() as u32).collect(), centres, &mut members);
+        bisect((0..centres.len() as u32).collect(), centres, BLOCK, &mut members);
         let factors: Result<Vec<_>, PanelError> = members
             .par_iter()
             .map(|m| {
@@ -328,24 +328,6 @@ impl Blocks {
         }
         x
     }
-}
-
-/// Halves a set of panels across its longest extent until parts are small enough.
-fn bisect(mut set: Vec<u32>, centres: &[Vector3], out: &mut Vec<Vec<u32>>) {
-    if set.len() <= BLOCK {
-        set.sort_unstable();
-        out.push(set);
-        return;
-    }
-    let start = (Vector3::repeat(f64::INFINITY), Vector3::repeat(f64::NEG_INFINITY));
-    let (low, high) = set.iter().map(|i| &centres[*i as usize]).fold(start, |(l, h), c| (l.inf(c), h.sup(c)));
-    let axis = (high - low).imax();
-    set.sort_unstable_by(|i, j| {
-        centres[*i as usize][axis].total_cmp(&centres[*j as usize][axis]).then(i.cmp(j))
-    });
-    let rest = set.split_off(set.len() / 2);
-    bisect(set, centres, out);
-    bisect(rest, centres, out);
 }
 
 fn largest(x: &[f64]) -> f64 {

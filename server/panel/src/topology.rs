@@ -24,6 +24,23 @@ pub(crate) struct Edge {
     pub right: Option<u32>,
 }
 
+/// Panels of a patch at most.
+const PATCH: usize = 32;
+
+/// Panels that lie near each other, and the edges of which they are the left ones: all patches together are the surface. Loops over pairs
+/// go patch by patch, so that what they need of the points stays near.
+#[derive(Clone, Debug)]
+pub(crate) struct Patch {
+    /// Points of the panels.
+    pub points: Vec<u32>,
+    pub panels: Vec<u32>,
+    /// Corners of the panels, as places in `points`.
+    pub corners: Vec<[u32; 4]>,
+    pub edges: Vec<u32>,
+    /// Ends `[a, b]` of the edges, likewise.
+    pub ends: Vec<[u32; 2]>,
+}
+
 /// Panels that are solved, with their own numbering of vertices ("points").
 #[derive(Clone, Debug)]
 pub(crate) struct Panels {
@@ -32,6 +49,7 @@ pub(crate) struct Panels {
     pub edges: Vec<Edge>,
     /// Edges of each panel.
     pub panel_edges: Vec<Vec<u32>>,
+    pub patches: Vec<Patch>,
     /// Edges at each point.
     pub point_edges: Vec<Vec<u32>>,
     /// Connected piece of each point.
@@ -118,7 +136,7 @@ impl Panels {
         }
         let cells: Vec<Cell> =
             cell_of.iter().map(|&c| mesh.cells[c as usize].map(|v| point_of[v as usize])).collect();
-        let corners = cells
+        let corners: Vec<[u32; 4]> = cells
             .iter()
             .map(|cell| {
                 let v = cell.vertices();
@@ -141,10 +159,12 @@ impl Panels {
             vertex_of.iter().map(|&v| symmetric && mesh.vertices[v as usize][1].abs() <= tolerance).collect();
         let partner =
             vertex_partner.map(|partner: Vec<u32>| vertex_of.iter().map(|&v| partner[v as usize]).collect());
+        let patches = patches(mesh, &corners, &edges, &panel_edges, &vertex_of);
         Self {
             corners,
             edges,
             panel_edges,
+            patches,
             point_edges,
             piece: topology.vertex_piece,
             vertex_of,
@@ -269,6 +289,58 @@ impl Panels {
         }
         out
     }
+}
+
+/// Cuts the panels into patches, by halving across the longest extent.
+fn patches(
+    mesh: &SurfaceMesh,
+    corners: &[[u32; 4]],
+    edges: &[Edge],
+    panel_edges: &[Vec<u32>],
+    vertex_of: &[u32],
+) -> Vec<Patch> {
+    let at = |point: u32| Vector3::from(mesh.vertices[vertex_of[point as usize] as usize]);
+    let centres: Vec<Vector3> = corners.iter().map(|c| c.map(at).iter().sum::<Vector3>() / 4.0).collect();
+    let mut sets = Vec::new();
+    bisect((0..corners.len() as u32).collect(), &centres, PATCH, &mut sets);
+    let patch = |panels: Vec<u32>| {
+        let mut points: Vec<u32> = panels.iter().flat_map(|p| corners[*p as usize]).collect();
+        points.sort_unstable();
+        points.dedup();
+        let place = |point: u32| points.partition_point(|p| *p < point) as u32;
+        let is_own = |panel: u32, edge: u32| edges[edge as usize].left == panel;
+        let own = |panel: &u32| {
+            let panel = *panel;
+            panel_edges[panel as usize].iter().copied().filter(move |e| is_own(panel, *e))
+        };
+        let own: Vec<u32> = panels.iter().flat_map(own).collect();
+        Patch {
+            corners: panels.iter().map(|p| corners[*p as usize].map(place)).collect(),
+            ends: own.iter().map(|e| [edges[*e as usize].a, edges[*e as usize].b].map(place)).collect(),
+            edges: own,
+            panels,
+            points,
+        }
+    };
+    sets.into_iter().map(patch).collect()
+}
+
+/// Halves a set of panels across its longest extent until no part has more than `most`.
+pub(crate) fn bisect(mut set: Vec<u32>, centres: &[Vector3], most: usize, out: &mut Vec<Vec<u32>>) {
+    if set.len() <= most {
+        set.sort_unstable();
+        out.push(set);
+        return;
+    }
+    let start = (Vector3::repeat(f64::INFINITY), Vector3::repeat(f64::NEG_INFINITY));
+    let (low, high) = set.iter().map(|i| &centres[*i as usize]).fold(start, |(l, h), c| (l.inf(c), h.sup(c)));
+    let axis = (high - low).imax();
+    set.sort_unstable_by(|i, j| {
+        centres[*i as usize][axis].total_cmp(&centres[*j as usize][axis]).then(i.cmp(j))
+    });
+    let rest = set.split_off(set.len() / 2);
+    bisect(set, centres, most, out);
+    bisect(rest, centres, most, out);
 }
 
 /// The mirror image in y = 0.

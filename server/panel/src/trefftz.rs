@@ -372,3 +372,37 @@ fn roots_at(wakes: &Wakes, end: u32) -> Vec<u32> {
     let arrives = |strip: &crate::wake::Strip| strip.beside.contains(&Beside::Body(end));
     (0..wakes.strips.len() as u32).filter(|s| arrives(&wakes.strips[*s as usize])).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use crate::{Options, PanelSetup, meshes::Wing};
+
+    /// An elliptic circulation over a plane trace has the least drag, `(integral Gamma dy)^2 2 / (pi b^2)`; the error falls with the square of
+    /// the spacing.
+    #[test]
+    fn elliptic_circulation() {
+        let excess = [20, 40, 80].map(|along| {
+            let mesh = Wing::rectangular(8, along).mesh();
+            let setup = PanelSetup::new(&mesh, Options::default()).unwrap();
+            let points = setup.panels.gather(&mesh.vertices);
+            let gamma = |strip: &crate::wake::Strip| {
+                let y = 0.5 * (points[strip.a as usize].y + points[strip.b as usize].y) / 4.0;
+                (1.0 - y * y).sqrt()
+            };
+            let circulation: Vec<f64> = setup.wakes.strips.iter().map(gamma).collect();
+            let lift = setup.trace.lift(&points, &circulation);
+            let least = 2.0 * lift * lift / (std::f64::consts::PI * 64.0);
+            assert!(
+                (lift / (2.0 * std::f64::consts::PI) - 1.0).abs() < 2.0 / (along * along) as f64,
+                "{lift}"
+            );
+            setup.trace.drag(&points, &[circulation])[0][0] / least - 1.0
+        });
+        // The root at the tips is coarse for a straight line, and costs most of it.
+        assert!(excess[2].abs() < 0.002, "{excess:?}");
+        assert!(
+            excess[0].abs() > 2.0 * excess[1].abs() && excess[1].abs() > 2.0 * excess[2].abs(),
+            "{excess:?}"
+        );
+    }
+}

@@ -7,3 +7,4 @@ mod dual;
 mod flow;
 mod meshes;
 mod refusals;
+mod solvers;
