@@ -83,7 +83,8 @@ pub struct Loads {
 pub struct Analysis {
     /// Coefficients of the whole, with slopes.
     pub scalars: Scalars,
-    /// Lift from the pressure over lift from the circulation, less one: a measure of the discretisation. Zero without lift.
+    /// Lift from the pressure over lift from the circulation, less one. Zero without lift. A measure of the discretisation, but not of that
+    /// alone: where a body turns the flow across a wake, which is straight here, a part of the lift acts on the wake and not on the body.
     pub disagreement: f64,
     /// Forces of the whole.
     pub total: Loads,
