@@ -16,6 +16,7 @@ use crate::{
     chart,
     dual::{Dual, LANES, Real, Vector, constant, constants, eps, number, real, tangent},
     field::{System, data},
+    outputs,
     seam::{DualSeam, DualSeams, union},
 };
 
@@ -39,6 +40,8 @@ pub struct Stages {
     pub placed: Vec<Real>,
     /// The deformed mesh.
     pub vertices: Vec<Real>,
+    /// The scalar outputs, each in its unit.
+    pub functions: Vec<f64>,
 }
 
 /// Values and derivatives along a number of directions.
@@ -65,6 +68,7 @@ struct DualStages {
     displacements: Vec<Vector>,
     placed: Vec<Vector>,
     vertices: Vec<Vector>,
+    functions: Vec<Dual>,
 }
 
 #[derive(Clone, Copy)]
@@ -204,8 +208,9 @@ impl<'a> Chain<'a> {
         go_on()?;
         let vertices = deformed.onto_outer_mold_line(&placed, &seams, monitor);
         go_on()?;
+        let functions = outputs::functions(setup, &vertices, &bodies);
         let placed = placed.into_iter().map(|p| p.position).collect();
-        Ok(DualStages { control_points, seams, motions, displacements, placed, vertices })
+        Ok(DualStages { control_points, seams, motions, displacements, placed, vertices, functions })
     }
 }
 
@@ -237,6 +242,7 @@ impl DualStages {
             displacements: vectors(&self.displacements),
             placed: vectors(&self.placed),
             vertices: vectors(&self.vertices),
+            functions: self.functions.iter().map(of).collect(),
         }
     }
 }

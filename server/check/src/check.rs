@@ -128,11 +128,13 @@ pub enum Step {
     Placed,
     /// Vertices on the outer mold line.
     Vertices,
+    /// The scalar outputs.
+    Functions,
 }
 
 impl Step {
     /// All, in order.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::ControlPoints,
         Self::SeamPositions,
         Self::SeamParameters,
@@ -140,6 +142,7 @@ impl Step {
         Self::Displacements,
         Self::Placed,
         Self::Vertices,
+        Self::Functions,
     ];
 
     /// Words for people and files.
@@ -152,6 +155,7 @@ impl Step {
             Self::Displacements => "field",
             Self::Placed => "placement",
             Self::Vertices => "outer mold line",
+            Self::Functions => "scalar outputs",
         }
     }
 
@@ -166,6 +170,7 @@ impl Step {
             Self::Displacements => flat(&stages.displacements),
             Self::Placed => flat(&stages.placed),
             Self::Vertices => flat(&stages.vertices),
+            Self::Functions => stages.functions.clone(),
         }
     }
 }
@@ -195,7 +200,7 @@ pub struct VariableCheck {
     pub variable: usize,
     /// `|J v|` over all vertices, m per unit of the variable.
     pub size: f64,
-    /// Relative error against dual numbers.
+    /// Relative error against dual numbers: of the vertices, or of a scalar output where that is larger.
     pub dual: f64,
     /// The vertex that contributes most to it.
     pub worst_vertex: usize,
@@ -458,17 +463,23 @@ fn against_dual(
             let difference: Vec<f64> = a.iter().zip(&b).map(|(a, b)| a - b).collect();
             // A step that does next to nothing has rounding for a derivative.
             let size = length(&b).max(1e-6 * moved);
-            let error = if a.len() != b.len() { f64::INFINITY } else { length(&difference) / size };
+            let error = match step {
+                _ if a.len() != b.len() => f64::INFINITY,
+                // Each in a unit of its own.
+                Step::Functions => function_error(&a, &b, &dual.values.functions),
+                _ => length(&difference) / size,
+            };
             (step, if error.is_nan() && size == 0.0 { 0.0 } else { error })
         })
         .collect();
+    let functions = function_error(&tangent.functions, &exact.functions, &dual.values.functions);
     let exact: Vec<[f64; 3]> = exact.vertices.iter().map(|&x| x.into()).collect();
     let off = |v: &usize| (Real::from(tangent.vertices[*v]) - Real::from(exact[*v])).norm();
     let worst = (0..exact.len()).max_by(|a, b| off(a).total_cmp(&off(b)));
     VariableCheck {
         variable,
         size: norm(&tangent.vertices),
-        dual: relative_error(&tangent.vertices, &exact),
+        dual: largest([relative_error(&tangent.vertices, &exact), functions].into_iter()),
         worst_vertex: worst.unwrap_or(0),
         // Not "not within": an error that is not a number is one too.
         first_off: steps

@@ -16,6 +16,7 @@ mod differences;
 mod dual;
 mod engine;
 mod field;
+mod outputs;
 mod random;
 mod report;
 mod seam;

@@ -31,13 +31,14 @@ impl Jacobian {
 impl Linear for Jacobian {
     fn outputs(&self) -> Outputs {
         let vertices = self.evaluation.values.vertices.iter().map(|&x| x.into()).collect();
-        Outputs { vertices, functions: Vec::new() }
+        Outputs { vertices, functions: self.evaluation.values.functions.clone() }
     }
 
     fn jvp(&self, directions: &[Vec<f64>]) -> Result<Vec<Outputs>, DeformError> {
         let product = |direction: &Vec<f64>| {
-            let vertices = self.stages(direction)?.vertices.iter().map(|&x| x.into()).collect();
-            Ok(Outputs { vertices, functions: Vec::new() })
+            let stages = self.stages(direction)?;
+            let vertices = stages.vertices.iter().map(|&x| x.into()).collect();
+            Ok(Outputs { vertices, functions: stages.functions })
         };
         directions.iter().map(product).collect()
     }
@@ -45,7 +46,8 @@ impl Linear for Jacobian {
     fn vjp(&self, seeds: &[Outputs]) -> Result<Vec<Vec<f64>>, DeformError> {
         let columns = self.jvp(&(0..2).map(|k| unit(2, k)).collect::<Vec<_>>())?;
         let product = |seed: &Outputs, column: &Outputs| {
-            let both = seed.vertices.iter().flatten().zip(column.vertices.iter().flatten());
+            let vertices = seed.vertices.iter().flatten().zip(column.vertices.iter().flatten());
+            let both = vertices.chain(seed.functions.iter().zip(&column.functions));
             self.adjoint * both.map(|(a, b)| a * b).sum::<f64>()
         };
         Ok(seeds.iter().map(|seed| columns.iter().map(|c| product(seed, c)).collect()).collect())
@@ -75,6 +77,9 @@ impl Linear for Jacobian {
         mix_all(&mut stages.displacements, &a.displacements);
         mix_all(&mut stages.placed, &a.placed);
         mix_all(&mut stages.vertices, &a.vertices);
+        for (x, y) in stages.functions.iter_mut().zip(&a.functions) {
+            *x = y * direction[0] + *x * direction[1];
+        }
         (self.mistake)(&mut stages);
         Ok(stages)
     }
@@ -114,9 +119,10 @@ fn a_mistake_is_found_and_named() {
     let design = design(&setup, 0.5);
     let mut linear = Jacobian::new(&setup, &design);
     type Mistake = (fn(&mut Stages), Step);
-    let mistakes: [Mistake; 3] = [
+    let mistakes: [Mistake; 4] = [
         (|s| s.seam_parameters.iter_mut().for_each(|p| p[0][0] *= 1.0 + 1e-8), Step::SeamParameters),
         (|s| s.displacements.iter_mut().for_each(|d| *d *= 1.0 + 1e-8), Step::Displacements),
+        (|s| s.functions.iter_mut().for_each(|f| *f *= 1.0 + 1e-8), Step::Functions),
         (|s| s.vertices.iter_mut().for_each(|x| *x *= 1.0 + 1e-8), Step::Vertices),
     ];
     for (mistake, step) in mistakes {
