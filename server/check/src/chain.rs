@@ -16,7 +16,7 @@ use crate::{
     chart,
     dual::{Dual, LANES, Real, Vector, constant, constants, eps, number, real, tangent},
     field::{System, data},
-    outputs,
+    outputs::{self, Sum},
     seam::{DualSeam, DualSeams, union},
 };
 
@@ -51,6 +51,9 @@ pub struct Evaluation {
     pub values: Stages,
     /// Derivatives, one entry a direction.
     pub tangents: Vec<Stages>,
+    /// For each direction what the derivatives of the scalar outputs would be if nothing in them cancelled: sums over
+    /// points of the lengths of gradient and motion.
+    pub terms: Vec<Vec<f64>>,
 }
 
 /// A set-up, ready to be evaluated in dual numbers.
@@ -68,7 +71,7 @@ struct DualStages {
     displacements: Vec<Vector>,
     placed: Vec<Vector>,
     vertices: Vec<Vector>,
-    functions: Vec<Dual>,
+    functions: Vec<Sum>,
 }
 
 #[derive(Clone, Copy)]
@@ -161,10 +164,16 @@ impl<'a> Chain<'a> {
                 }
             };
             let stages = self.pass(points, &bodies, &seams, monitor)?;
-            let evaluation =
-                all.get_or_insert_with(|| Evaluation { values: stages.values(), tangents: Vec::new() });
+            let evaluation = all.get_or_insert_with(|| Evaluation {
+                values: stages.values(),
+                tangents: Vec::new(),
+                terms: Vec::new(),
+            });
             let lanes = (directions - first).min(LANES);
             evaluation.tangents.extend((0..lanes).map(|k| stages.tangents(k)));
+            evaluation
+                .terms
+                .extend((0..lanes).map(|k| stages.functions.iter().map(|f| f.terms[k]).collect()));
             monitor.progress(Stage::Projection, (first + lanes) as f64 / directions.max(1) as f64);
             found = Some((bodies, seams));
         }
@@ -242,7 +251,7 @@ impl DualStages {
             displacements: vectors(&self.displacements),
             placed: vectors(&self.placed),
             vertices: vectors(&self.vertices),
-            functions: self.functions.iter().map(of).collect(),
+            functions: self.functions.iter().map(|f| of(&f.value)).collect(),
         }
     }
 }

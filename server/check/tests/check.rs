@@ -85,6 +85,9 @@ impl Linear for Jacobian {
     }
 }
 
+/// The vertex whose derivatives along the first variable differ most at the baseline of the half model.
+const WORST: usize = 326;
+
 struct Nobody;
 
 impl Watch for Nobody {
@@ -171,4 +174,38 @@ fn a_check_can_be_cancelled() {
     let outcome =
         check_design(&setup, &Chain::new(&setup), &linear, &setup, &design, &CheckOptions::all(2), &watch);
     assert!(matches!(outcome, Err(CheckError::Deform(DeformError::Cancelled))));
+}
+
+/// At the baseline of the half model vertices lie on the crease between the panels of its wing, at y = 1.6 m, and motion takes
+/// them over it.
+#[test]
+fn a_kink_is_named_and_hides_no_mistake() {
+    let setup = setup("tests/configurations/half", |_| {});
+    let design = setup.parameterisation().baseline();
+    let mut linear = Jacobian::new(&setup, &design);
+    let options =
+        CheckOptions { variables: vec![0, 1], steps: vec![1e-3, 1e-4], ..CheckOptions::all(design.len()) };
+    let check = |linear: &Jacobian| -> DesignCheck {
+        let chain = Chain::new(&setup);
+        check_design(&setup, &chain, linear, &setup, &design, &options, &Nobody).expect("is checked")
+    };
+    let right = check(&linear);
+    assert!(right.central_difference_max() <= 1e-6, "{:e}", right.central_difference_max());
+    for row in &right.variables {
+        let (_, central) = row.best().expect("has meshes");
+        assert!(central > 1e-5, "{central:e}");
+        let kink = row.kink.as_ref().expect("there is one");
+        assert!(kink.vertices.contains(&kink.worst) && kink.jump > 0.0 && kink.on_boundary);
+        assert_eq!(kink.component, "wing");
+        for &v in &kink.vertices {
+            assert!((setup.positions()[v].y - 1.6).abs() < 1e-9, "vertex {v}");
+        }
+    }
+    // Neither at the kink nor elsewhere is a derivative accepted that is none.
+    let kink = right.variables[0].kink.clone().expect("there is one");
+    assert_eq!(kink.worst, WORST);
+    linear.mistake = |stages| stages.vertices[WORST].x += 1e-3;
+    assert!(check(&linear).variables[0].difference_error() > 1e-6);
+    linear.mistake = |stages| stages.vertices[0].x += 1e-3;
+    assert!(check(&linear).variables[0].difference_error() > 1e-6);
 }
