@@ -16,6 +16,7 @@ use crate::{
     chart,
     dual::{Dual, LANES, Real, Vector, constant, constants, eps, number, real, tangent},
     field::{System, data},
+    outputs::{self, Sum},
     seam::{DualSeam, DualSeams, union},
 };
 
@@ -39,6 +40,8 @@ pub struct Stages {
     pub placed: Vec<Real>,
     /// The deformed mesh.
     pub vertices: Vec<Real>,
+    /// The scalar outputs, each in its unit.
+    pub functions: Vec<f64>,
 }
 
 /// Values and derivatives along a number of directions.
@@ -48,6 +51,9 @@ pub struct Evaluation {
     pub values: Stages,
     /// Derivatives, one entry a direction.
     pub tangents: Vec<Stages>,
+    /// For each direction what the derivatives of the scalar outputs would be if nothing in them cancelled: sums over
+    /// points of the lengths of gradient and motion.
+    pub terms: Vec<Vec<f64>>,
 }
 
 /// A set-up, ready to be evaluated in dual numbers.
@@ -65,6 +71,7 @@ struct DualStages {
     displacements: Vec<Vector>,
     placed: Vec<Vector>,
     vertices: Vec<Vector>,
+    functions: Vec<Sum>,
 }
 
 #[derive(Clone, Copy)]
@@ -157,10 +164,16 @@ impl<'a> Chain<'a> {
                 }
             };
             let stages = self.pass(points, &bodies, &seams, monitor)?;
-            let evaluation =
-                all.get_or_insert_with(|| Evaluation { values: stages.values(), tangents: Vec::new() });
+            let evaluation = all.get_or_insert_with(|| Evaluation {
+                values: stages.values(),
+                tangents: Vec::new(),
+                terms: Vec::new(),
+            });
             let lanes = (directions - first).min(LANES);
             evaluation.tangents.extend((0..lanes).map(|k| stages.tangents(k)));
+            evaluation
+                .terms
+                .extend((0..lanes).map(|k| stages.functions.iter().map(|f| f.terms[k]).collect()));
             monitor.progress(Stage::Projection, (first + lanes) as f64 / directions.max(1) as f64);
             found = Some((bodies, seams));
         }
@@ -204,8 +217,9 @@ impl<'a> Chain<'a> {
         go_on()?;
         let vertices = deformed.onto_outer_mold_line(&placed, &seams, monitor);
         go_on()?;
+        let functions = outputs::functions(setup, &vertices, &bodies);
         let placed = placed.into_iter().map(|p| p.position).collect();
-        Ok(DualStages { control_points, seams, motions, displacements, placed, vertices })
+        Ok(DualStages { control_points, seams, motions, displacements, placed, vertices, functions })
     }
 }
 
@@ -237,6 +251,7 @@ impl DualStages {
             displacements: vectors(&self.displacements),
             placed: vectors(&self.placed),
             vertices: vectors(&self.vertices),
+            functions: self.functions.iter().map(|f| of(&f.value)).collect(),
         }
     }
 }

@@ -8,8 +8,19 @@ use crate::{
     Chain, CheckError, Evaluation, Stages,
     differences::{norm, relative_error},
     dual::Real,
+    kink::{Kink, kink},
     random::Random,
 };
+
+/// Errors up to which derivatives pass.
+pub const DOT_PRODUCT: f64 = 1e-12;
+/// The same against dual numbers.
+pub const DUAL: f64 = 1e-10;
+/// The same against central differences.
+pub const CENTRAL_DIFFERENCE: f64 = 1e-6;
+/// A derivative of a scalar output that is less than so many times what it is the sum of is measured by that sum: it cancels, and
+/// rounding remains.
+const CANCELLED: f64 = 1e-3;
 
 /// What a design leads to, or a derivative of that, or a seed for it.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -97,6 +108,8 @@ pub struct CheckOptions {
     pub seed: u64,
     /// Relative error of a stage from which on it is named.
     pub tolerance: f64,
+    /// Relative error against central differences from which on kinks are looked for.
+    pub differences: f64,
 }
 
 impl CheckOptions {
@@ -106,7 +119,8 @@ impl CheckOptions {
             variables: (0..count).collect(),
             steps: (2..=9).map(|k| 10_f64.powi(-k)).collect(),
             seed: 1,
-            tolerance: 1e-10,
+            tolerance: DUAL,
+            differences: CENTRAL_DIFFERENCE,
         }
     }
 }
@@ -128,11 +142,13 @@ pub enum Step {
     Placed,
     /// Vertices on the outer mold line.
     Vertices,
+    /// The scalar outputs.
+    Functions,
 }
 
 impl Step {
     /// All, in order.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::ControlPoints,
         Self::SeamPositions,
         Self::SeamParameters,
@@ -140,6 +156,7 @@ impl Step {
         Self::Displacements,
         Self::Placed,
         Self::Vertices,
+        Self::Functions,
     ];
 
     /// Words for people and files.
@@ -152,6 +169,7 @@ impl Step {
             Self::Displacements => "field",
             Self::Placed => "placement",
             Self::Vertices => "outer mold line",
+            Self::Functions => "scalar outputs",
         }
     }
 
@@ -166,6 +184,7 @@ impl Step {
             Self::Displacements => flat(&stages.displacements),
             Self::Placed => flat(&stages.placed),
             Self::Vertices => flat(&stages.vertices),
+            Self::Functions => stages.functions.clone(),
         }
     }
 }
@@ -195,7 +214,7 @@ pub struct VariableCheck {
     pub variable: usize,
     /// `|J v|` over all vertices, m per unit of the variable.
     pub size: f64,
-    /// Relative error against dual numbers.
+    /// Relative error against dual numbers: of the vertices, or of a scalar output where that is larger.
     pub dual: f64,
     /// The vertex that contributes most to it.
     pub worst_vertex: usize,
@@ -205,6 +224,9 @@ pub struct VariableCheck {
     pub first_off: Option<Step>,
     /// Relative errors against central differences.
     pub differences: Vec<Difference>,
+    /// Vertices that have no derivative, but one to either side. They are looked for where central differences do not
+    /// agree at any step.
+    pub kink: Option<Kink>,
     /// The same of the scalar outputs at the best step: the largest over the outputs. Zero if there are none.
     pub functions: f64,
 }
@@ -214,6 +236,12 @@ impl VariableCheck {
     pub fn best(&self) -> Option<(f64, f64)> {
         let errors = self.differences.iter().filter_map(|d| d.error.map(|e| (d.step, e)));
         errors.min_by(|a, b| a.1.total_cmp(&b.1))
+    }
+
+    /// The least error against central differences; at kinks, against the derivative to one side.
+    pub fn difference_error(&self) -> f64 {
+        let best = self.best().map_or(f64::INFINITY, |(_, error)| error);
+        self.kink.as_ref().map_or(best, |kink| kink.error)
     }
 }
 
@@ -242,9 +270,10 @@ impl DesignCheck {
         largest(self.variables.iter().map(|v| v.dual))
     }
 
-    /// The largest relative error against central differences at the best step of each variable.
+    /// The largest relative error against central differences at the best step of each variable; at kinks against the
+    /// derivative to one side.
     pub fn central_difference_max(&self) -> f64 {
-        largest(self.variables.iter().map(|v| v.best().map_or(f64::INFINITY, |(_, error)| error)))
+        largest(self.variables.iter().map(VariableCheck::difference_error))
     }
 }
 
@@ -372,10 +401,16 @@ pub fn check_design(
             {
                 best = error;
                 check.functions =
-                    function_error(&difference.functions, &tangents[row].functions, &engine.functions);
+                    function_error(&difference.functions, &tangents[row].functions, &dual.terms[row]);
             }
             check.differences.push(Difference { step, error });
             watch.progress(Phase::Differences, (row * options.steps.len() + k + 1) as f64 / work as f64);
+        }
+        if best > options.differences {
+            let at = [design, &directions[row]];
+            let range = range(&variables[variable]);
+            let tangent = &tangents[row].vertices;
+            check.kink = kink(setup, function, at, range, &engine, tangent, &Quietly(watch))?;
         }
     }
     Ok(DesignCheck { design: design.to_vec(), values, dot_products, variables: rows })
@@ -458,17 +493,23 @@ fn against_dual(
             let difference: Vec<f64> = a.iter().zip(&b).map(|(a, b)| a - b).collect();
             // A step that does next to nothing has rounding for a derivative.
             let size = length(&b).max(1e-6 * moved);
-            let error = if a.len() != b.len() { f64::INFINITY } else { length(&difference) / size };
+            let error = match step {
+                _ if a.len() != b.len() => f64::INFINITY,
+                // Each in a unit of its own.
+                Step::Functions => function_error(&a, &b, &dual.terms[row]),
+                _ => length(&difference) / size,
+            };
             (step, if error.is_nan() && size == 0.0 { 0.0 } else { error })
         })
         .collect();
+    let functions = function_error(&tangent.functions, &exact.functions, &dual.terms[row]);
     let exact: Vec<[f64; 3]> = exact.vertices.iter().map(|&x| x.into()).collect();
     let off = |v: &usize| (Real::from(tangent.vertices[*v]) - Real::from(exact[*v])).norm();
     let worst = (0..exact.len()).max_by(|a, b| off(a).total_cmp(&off(b)));
     VariableCheck {
         variable,
         size: norm(&tangent.vertices),
-        dual: relative_error(&tangent.vertices, &exact),
+        dual: largest([relative_error(&tangent.vertices, &exact), functions].into_iter()),
         worst_vertex: worst.unwrap_or(0),
         // Not "not within": an error that is not a number is one too.
         first_off: steps
@@ -477,6 +518,7 @@ fn against_dual(
             .map(|(step, _)| *step),
         steps,
         differences: Vec::new(),
+        kink: None,
         functions: 0.0,
     }
 }
@@ -515,11 +557,10 @@ fn central(
     }))
 }
 
-/// The largest error of a scalar output, relative to its derivative, or to the output itself where it hardly changes.
-fn function_error(difference: &[f64], tangent: &[f64], value: &[f64]) -> f64 {
-    let least = 1e-6 * largest(tangent.iter().map(|t| t.abs()));
-    largest(difference.iter().zip(tangent).zip(value).map(|((d, t), value)| {
-        let size = t.abs().max(1e-6 * value.abs()).max(least);
-        if d == t { 0.0 } else { (d - t).abs() / size }
+/// The largest error of a scalar output: relative to its derivative, or to [`CANCELLED`] times what that is the sum of.
+fn function_error(found: &[f64], exact: &[f64], terms: &[f64]) -> f64 {
+    largest(found.iter().zip(exact).zip(terms).map(|((found, exact), terms)| {
+        let size = exact.abs().max(CANCELLED * terms);
+        if found == exact { 0.0 } else { (found - exact).abs() / size }
     }))
 }

@@ -39,6 +39,7 @@ impl Linear for Linearisation {
             displacements: stages.displacements,
             placed: stages.placed,
             vertices: stages.vertices,
+            functions: stages.functions,
         })
     }
 }

@@ -16,6 +16,8 @@ mod differences;
 mod dual;
 mod engine;
 mod field;
+mod kink;
+mod outputs;
 mod random;
 mod report;
 mod seam;
@@ -28,6 +30,7 @@ pub use check::{
     Watch, check_design, designs, largest, range,
 };
 pub use differences::{Derivative, central_difference, norm, relative_error};
+pub use kink::Kink;
 pub use report::{Designs, Maximum, Observer, Report, Request};
 
 /// Why a check cannot be carried out.

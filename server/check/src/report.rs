@@ -6,13 +6,10 @@ use moldline_deform::{Setup, Silent};
 use moldline_parameterisation::Parameterisation;
 
 use crate::{
-    Chain, CheckError, CheckOptions, DesignCheck, Phase, VariableCheck, Watch, check_design, designs, largest,
+    Chain, CheckError, CheckOptions, DesignCheck, Phase, VariableCheck, Watch,
+    check::{CENTRAL_DIFFERENCE, DOT_PRODUCT, DUAL},
+    check_design, designs, largest,
 };
-
-/// Errors up to which derivatives pass.
-const DOT_PRODUCT: f64 = 1e-12;
-const DUAL: f64 = 1e-10;
-const CENTRAL_DIFFERENCE: f64 = 1e-6;
 
 /// Where derivatives are checked.
 #[derive(Clone, Debug, PartialEq)]
@@ -204,6 +201,9 @@ fn table(f: &mut fmt::Formatter<'_>, variables: &[String], check: &DesignCheck) 
             row.dual,
         );
         writeln!(f, "{}", line.trim_end())?;
+    }
+    for (row, kink) in check.variables.iter().filter_map(|row| Some((row, row.kink.as_ref()?))) {
+        writeln!(f, "  {}: {kink}", name(row))?;
     }
     Ok(())
 }

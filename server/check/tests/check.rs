@@ -31,13 +31,14 @@ impl Jacobian {
 impl Linear for Jacobian {
     fn outputs(&self) -> Outputs {
         let vertices = self.evaluation.values.vertices.iter().map(|&x| x.into()).collect();
-        Outputs { vertices, functions: Vec::new() }
+        Outputs { vertices, functions: self.evaluation.values.functions.clone() }
     }
 
     fn jvp(&self, directions: &[Vec<f64>]) -> Result<Vec<Outputs>, DeformError> {
         let product = |direction: &Vec<f64>| {
-            let vertices = self.stages(direction)?.vertices.iter().map(|&x| x.into()).collect();
-            Ok(Outputs { vertices, functions: Vec::new() })
+            let stages = self.stages(direction)?;
+            let vertices = stages.vertices.iter().map(|&x| x.into()).collect();
+            Ok(Outputs { vertices, functions: stages.functions })
         };
         directions.iter().map(product).collect()
     }
@@ -45,7 +46,8 @@ impl Linear for Jacobian {
     fn vjp(&self, seeds: &[Outputs]) -> Result<Vec<Vec<f64>>, DeformError> {
         let columns = self.jvp(&(0..2).map(|k| unit(2, k)).collect::<Vec<_>>())?;
         let product = |seed: &Outputs, column: &Outputs| {
-            let both = seed.vertices.iter().flatten().zip(column.vertices.iter().flatten());
+            let vertices = seed.vertices.iter().flatten().zip(column.vertices.iter().flatten());
+            let both = vertices.chain(seed.functions.iter().zip(&column.functions));
             self.adjoint * both.map(|(a, b)| a * b).sum::<f64>()
         };
         Ok(seeds.iter().map(|seed| columns.iter().map(|c| product(seed, c)).collect()).collect())
@@ -75,10 +77,16 @@ impl Linear for Jacobian {
         mix_all(&mut stages.displacements, &a.displacements);
         mix_all(&mut stages.placed, &a.placed);
         mix_all(&mut stages.vertices, &a.vertices);
+        for (x, y) in stages.functions.iter_mut().zip(&a.functions) {
+            *x = y * direction[0] + *x * direction[1];
+        }
         (self.mistake)(&mut stages);
         Ok(stages)
     }
 }
+
+/// The vertex whose derivatives along the first variable differ most at the baseline of the half model.
+const WORST: usize = 326;
 
 struct Nobody;
 
@@ -114,9 +122,10 @@ fn a_mistake_is_found_and_named() {
     let design = design(&setup, 0.5);
     let mut linear = Jacobian::new(&setup, &design);
     type Mistake = (fn(&mut Stages), Step);
-    let mistakes: [Mistake; 3] = [
+    let mistakes: [Mistake; 4] = [
         (|s| s.seam_parameters.iter_mut().for_each(|p| p[0][0] *= 1.0 + 1e-8), Step::SeamParameters),
         (|s| s.displacements.iter_mut().for_each(|d| *d *= 1.0 + 1e-8), Step::Displacements),
+        (|s| s.functions.iter_mut().for_each(|f| *f *= 1.0 + 1e-8), Step::Functions),
         (|s| s.vertices.iter_mut().for_each(|x| *x *= 1.0 + 1e-8), Step::Vertices),
     ];
     for (mistake, step) in mistakes {
@@ -165,4 +174,38 @@ fn a_check_can_be_cancelled() {
     let outcome =
         check_design(&setup, &Chain::new(&setup), &linear, &setup, &design, &CheckOptions::all(2), &watch);
     assert!(matches!(outcome, Err(CheckError::Deform(DeformError::Cancelled))));
+}
+
+/// At the baseline of the half model vertices lie on the crease between the panels of its wing, at y = 1.6 m, and motion takes
+/// them over it.
+#[test]
+fn a_kink_is_named_and_hides_no_mistake() {
+    let setup = setup("tests/configurations/half", |_| {});
+    let design = setup.parameterisation().baseline();
+    let mut linear = Jacobian::new(&setup, &design);
+    let options =
+        CheckOptions { variables: vec![0, 1], steps: vec![1e-3, 1e-4], ..CheckOptions::all(design.len()) };
+    let check = |linear: &Jacobian| -> DesignCheck {
+        let chain = Chain::new(&setup);
+        check_design(&setup, &chain, linear, &setup, &design, &options, &Nobody).expect("is checked")
+    };
+    let right = check(&linear);
+    assert!(right.central_difference_max() <= 1e-6, "{:e}", right.central_difference_max());
+    for row in &right.variables {
+        let (_, central) = row.best().expect("has meshes");
+        assert!(central > 1e-5, "{central:e}");
+        let kink = row.kink.as_ref().expect("there is one");
+        assert!(kink.vertices.contains(&kink.worst) && kink.jump > 0.0 && kink.on_boundary);
+        assert_eq!(kink.component, "wing");
+        for &v in &kink.vertices {
+            assert!((setup.positions()[v].y - 1.6).abs() < 1e-9, "vertex {v}");
+        }
+    }
+    // Neither at the kink nor elsewhere is a derivative accepted that is none.
+    let kink = right.variables[0].kink.clone().expect("there is one");
+    assert_eq!(kink.worst, WORST);
+    linear.mistake = |stages| stages.vertices[WORST].x += 1e-3;
+    assert!(check(&linear).variables[0].difference_error() > 1e-6);
+    linear.mistake = |stages| stages.vertices[0].x += 1e-3;
+    assert!(check(&linear).variables[0].difference_error() > 1e-6);
 }

@@ -61,6 +61,8 @@ pub struct Stages {
     pub placed: Vec<Vector3>,
     /// Of every vertex.
     pub vertices: Vec<Vector3>,
+    /// The scalar outputs, each in its unit.
+    pub functions: Vec<f64>,
 }
 
 /// A deformation with its derivative.
@@ -359,6 +361,7 @@ impl Linearisation {
         let placed = self.smooth_jvp(placed, &control_points);
         let mut vertices = placed.clone();
         self.project_jvp(&mut vertices, &control_points);
+        let functions = self.outputs.jvp(&vertices, &control_points);
         let wide = |row: &[f64]| Vector3::from_fn(|axis, _| row.get(axis).copied().unwrap_or(0.0));
         let vectors = |block: &Block| (0..self.placements.len()).map(|v| block.vector(v, 0)).collect();
         Ok(Stages {
@@ -390,6 +393,7 @@ impl Linearisation {
                 .collect(),
             placed: vectors(&placed),
             vertices: vectors(&vertices),
+            functions: functions.data().to_vec(),
         })
     }
 

@@ -57,18 +57,31 @@ pub struct Function {
 
 /// A point by its internal parameters.
 #[derive(Clone, Debug)]
-struct At {
-    component: usize,
-    location: Location,
+pub struct At {
+    /// Index of the component.
+    pub component: usize,
+    /// Where on it.
+    pub location: Location,
 }
 
 /// What a group of functions is made of.
 #[derive(Clone, Debug)]
-enum Item {
+pub enum Item {
+    /// Volume within the mesh.
     EnclosedVolume,
-    WettedArea { component: u32 },
-    Volume { component: usize },
+    /// Area of the cells of a component.
+    WettedArea {
+        /// Its index.
+        component: u32,
+    },
+    /// Volume of a component.
+    Volume {
+        /// Its index.
+        component: usize,
+    },
+    /// A weighted sum of points: three functions.
     Point(Vec<(At, f64)>),
+    /// Area, span and mean aerodynamic chord of stations from tip to tip, leading and trailing edge of each.
     Planform(Vec<[At; 2]>),
 }
 
@@ -194,6 +207,16 @@ impl Outputs {
     /// The functions, in the order of their values.
     pub fn functions(&self) -> &[Function] {
         &self.functions
+    }
+
+    /// What the functions are made of, in the same order.
+    pub fn items(&self) -> &[Item] {
+        &self.items
+    }
+
+    /// What volumes are seen from, m.
+    pub fn origin(&self) -> Vector3 {
+        self.origin
     }
 
     /// The values of all functions.
@@ -441,7 +464,7 @@ fn planform(stations: &[[At; 2]], bodies: &[Body]) -> ([f64; 3], [Vec<[Vector3; 
 
 /// Calls `f(weight, location)` at the points of a Gauss rule over all patches, exact for the volume of patches that are not
 /// rational; weights are negative where a patch's parameters turn inwards.
-fn quadrature(body: &Body, mut f: impl FnMut(f64, &Location)) {
+pub fn quadrature(body: &Body, mut f: impl FnMut(f64, &Location)) {
     for (patch, description) in (0u32..).zip(body.component().patches()) {
         let surface = &description.surface;
         let sign = if description.flipped { -1.0 } else { 1.0 };

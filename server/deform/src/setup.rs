@@ -328,6 +328,11 @@ impl Setup {
         self.outputs.functions()
     }
 
+    /// What they are made of.
+    pub fn outputs(&self) -> &Outputs {
+        &self.outputs
+    }
+
     /// Values of the scalar outputs for the reference mesh.
     pub fn reference_functions(&self) -> Vec<f64> {
         let vertices: Vec<[f64; 3]> = self.positions.iter().map(|&x| x.into()).collect();

@@ -122,6 +122,7 @@ mod tests {
             steps: Vec::new(),
             first_off: None,
             differences,
+            kink: None,
             functions: 0.0,
         };
         DesignCheck { design: vec![0.0], values: 0.0, dot_products: Vec::new(), variables: vec![variable] }

@@ -3,15 +3,23 @@
 //! Every kernel value and every weight is cut in two, `k = k_1 + k_2` and `w = w_1 + w_2`, the first parts so short that all
 //! products and sums of them are exact in double precision, whatever the order (Ozaki, Ogita, Oishi and Rump, Error-free
 //! transformations of matrix multiplication, Numerical Algorithms 59, 2012). What remains, `k_1 w_2 + k_2 w`, is
-//! `2^-b` times as large, and so is its rounding; b is about 20. Kernel values are formed with twice the digits of a double.
+//! `2^-b` times as large, and so is its rounding; b is about 20.
+//!
+//! Kernel values are formed with some 75 bits. Coordinates are cut in two as well, so that `t - s = d_1 + d_2` and `sum d_1^2` is
+//! exact; then `r^2 = sum d_1^2 + sum (2 d_1 + d_2) d_2`, and the square root is followed by one correction.
 
 use faer::{Accum, MatMut, MatRef, Par, linalg::matmul::matmul};
 use moldline_geometry::Block;
 use moldline_spline::Vector3;
-use pulp::Arch;
+use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-use super::{AFFINE, Cloud, PANEL, Part, TILE, monomials};
+use super::{AFFINE, Cloud, FEW, PANEL, Part, TILE, monomials};
+
+/// Bits of the first parts of coordinates: three squares of their differences have one more than twice as many, and two.
+const COORDINATE_BITS: i32 = 25;
+/// Sources whose kernel values are used at once by all vectors of a tile: what they are fits the innermost cache.
+const BLOCK: usize = 64;
 
 /// Sums, a row for each target and a column for each column of weights.
 pub(super) struct Sums {
@@ -77,6 +85,13 @@ impl Cut {
     fn first(self, x: f64) -> f64 {
         (x + self.0) - self.0
     }
+
+    /// Both parts.
+    #[inline(always)]
+    fn both(self, x: f64) -> [f64; 2] {
+        let first = self.first(x);
+        [first, x - first]
+    }
 }
 
 /// Weights and affine parts, one below the other, column after column.
@@ -111,6 +126,11 @@ impl Weights {
         }
         Self { rows, first, second, whole }
     }
+
+    /// First parts, second parts and wholes of one row.
+    fn row<const N: usize>(&self, row: usize) -> [[f64; N]; 3] {
+        [&self.first, &self.second, &self.whole].map(|of| std::array::from_fn(|k| of[k * self.rows + row]))
+    }
 }
 
 fn largest(values: &[f64]) -> f64 {
@@ -126,106 +146,310 @@ pub(super) fn sums(targets: &[Vector3], sources: &Cloud, leading: &Part, rest: O
     }
     let bits = Cut::bits(sources.count + AFFINE);
     let weights = Weights::new(sources.count, leading, rest, bits);
-    let reach = (0..sources.count).map(|j| sources.get(j).norm()).fold(0.0, f64::max);
-    let arch = Arch::new();
-    targets
+    let points = sources.points();
+    let reach = points.iter().map(Vector3::norm).fold(0.0, f64::max);
+    let farthest = targets.iter().map(Vector3::amax).fold(reach, f64::max);
+    let cut = Cut::new(2.0 * farthest, COORDINATE_BITS);
+    let split: Vec<Split> = points.iter().map(|s| Split::new(s, cut)).collect();
+    let tile = |targets: &[Vector3]| Tile::new(targets, cut, reach, bits);
+    let tiles = targets
         .par_chunks(TILE)
         .zip(sums.exact.data_mut().par_chunks_mut(TILE * columns))
-        .zip(sums.rest.data_mut().par_chunks_mut(TILE * columns))
-        .for_each_init(
-            || [vec![0.0; TILE * PANEL], vec![0.0; TILE * PANEL]],
-            |[firsts, seconds], ((targets, exact), rest)| {
-                let tile = Tile::new(targets, reach, bits);
-                for first in (0..weights.rows).step_by(PANEL) {
-                    let range = first..(first + PANEL).min(weights.rows);
-                    let width = range.len();
-                    arch.dispatch(
-                        #[inline(always)]
-                        || tile.panel(sources, range, firsts, seconds),
-                    );
-                    let rows = targets.len();
-                    let add = |panel: &[f64], weights_of: &[f64], out: &mut [f64]| {
-                        let panel = MatRef::from_column_major_slice_with_stride(panel, rows, width, TILE);
-                        let below = &weights_of[first..];
-                        let some =
-                            MatRef::from_column_major_slice_with_stride(below, width, columns, weights.rows);
-                        let out = MatMut::from_row_major_slice_mut(out, rows, columns);
-                        matmul(out, Accum::Add, panel, some, 1.0, Par::Seq);
-                    };
-                    add(firsts, &weights.first, exact);
-                    add(firsts, &weights.second, rest);
-                    add(seconds, &weights.whole, rest);
-                }
-            },
-        );
+        .zip(sums.rest.data_mut().par_chunks_mut(TILE * columns));
+    match columns {
+        1 => few::<1>(tiles, tile, &split, &weights),
+        2 => few::<2>(tiles, tile, &split, &weights),
+        FEW => few::<FEW>(tiles, tile, &split, &weights),
+        _ => many(tiles, tile, &split, &weights, columns),
+    }
     sums
+}
+
+/// Targets of a task, and where its sums go, exact ones and the rest.
+type Task<'a> = ((&'a [Vector3], &'a mut [f64]), &'a mut [f64]);
+
+/// The sums of few columns: kernel values are formed and used in registers.
+fn few<'a, const N: usize>(
+    tasks: impl ParallelIterator<Item = Task<'a>>,
+    tile: impl Fn(&[Vector3]) -> Tile + Sync,
+    sources: &[Split],
+    weights: &Weights,
+) {
+    let arch = Arch::new();
+    let sources: Vec<Source<N>> =
+        sources.iter().enumerate().map(|(j, &at)| Source { at, weights: weights.row(j) }).collect();
+    let affine: [[[f64; N]; 3]; AFFINE] = std::array::from_fn(|k| weights.row(sources.len() + k));
+    tasks.for_each(|((targets, exact), rest)| {
+        let tile = tile(targets);
+        let [firsts, rests] = arch.dispatch(Radial { tile: &tile, sources: &sources });
+        let rows = exact.chunks_exact_mut(N).zip(rest.chunks_exact_mut(N));
+        for (i, ((exact, rest), target)) in rows.zip(targets).enumerate() {
+            (0..N).for_each(|c| (exact[c], rest[c]) = (firsts[c][i], rests[c][i]));
+            for (value, [w_1, w_2, w]) in monomials(target).into_iter().zip(&affine) {
+                let [first, second] = Cut(tile.cuts[i]).both(value);
+                for c in 0..N {
+                    exact[c] += first * w_1[c];
+                    rest[c] += first * w_2[c] + second * w[c];
+                }
+            }
+        }
+    });
+}
+
+/// The sums of many columns, as products of matrices: panels of kernel values, and weights.
+fn many<'a>(
+    tasks: impl IndexedParallelIterator<Item = Task<'a>>,
+    tile: impl Fn(&[Vector3]) -> Tile + Sync,
+    sources: &[Split],
+    weights: &Weights,
+    columns: usize,
+) {
+    let arch = Arch::new();
+    tasks.for_each_init(
+        || [vec![0.0; TILE * PANEL], vec![0.0; TILE * PANEL]],
+        |[firsts, seconds], ((targets, exact), rest)| {
+            let (tile, rows) = (tile(targets), targets.len());
+            let mut first = 0;
+            while first < weights.rows {
+                let width = match sources.get(first..) {
+                    Some(sources) if !sources.is_empty() => {
+                        let sources = &sources[..PANEL.min(sources.len())];
+                        arch.dispatch(Panel { tile: &tile, sources, firsts, seconds });
+                        sources.len()
+                    }
+                    _ => tile.affine(targets, firsts, seconds),
+                };
+                let add = |panel: &[f64], weights_of: &[f64], out: &mut [f64]| {
+                    let panel = MatRef::from_column_major_slice_with_stride(panel, rows, width, TILE);
+                    let below = &weights_of[first..];
+                    let some =
+                        MatRef::from_column_major_slice_with_stride(below, width, columns, weights.rows);
+                    let out = MatMut::from_row_major_slice_mut(out, rows, columns);
+                    matmul(out, Accum::Add, panel, some, 1.0, Par::Seq);
+                };
+                add(firsts, &weights.first, exact);
+                add(firsts, &weights.second, rest);
+                add(seconds, &weights.whole, rest);
+                first += width;
+            }
+        },
+    );
+}
+
+/// A point whose coordinates are cut in two.
+#[derive(Clone, Copy)]
+struct Split {
+    first: [f64; 3],
+    second: [f64; 3],
+}
+
+impl Split {
+    fn new(point: &Vector3, cut: Cut) -> Self {
+        let both: [[f64; 2]; 3] = std::array::from_fn(|axis| cut.both(point[axis]));
+        Self { first: both.map(|[first, _]| first), second: both.map(|[_, second]| second) }
+    }
+}
+
+/// A source with its weights: first parts, second parts and wholes.
+struct Source<const N: usize> {
+    at: Split,
+    weights: [[f64; N]; 3],
 }
 
 /// Targets of one task.
 struct Tile {
-    coordinates: [[f64; TILE]; 3],
+    /// Of the coordinates, one array for each.
+    first: [[f64; TILE]; 3],
+    second: [[f64; TILE]; 3],
     /// How each of them cuts its kernel values.
-    cuts: [Cut; TILE],
+    cuts: [f64; TILE],
 }
 
 impl Tile {
-    /// `reach`: distance of the farthest source from the origin.
-    fn new(targets: &[Vector3], reach: f64, bits: i32) -> Self {
-        let mut tile = Self { coordinates: [[0.0; TILE]; 3], cuts: [Cut(0.0); TILE] };
+    /// `coordinates` cuts these; `reach`: distance of the farthest source from the origin.
+    fn new(targets: &[Vector3], coordinates: Cut, reach: f64, bits: i32) -> Self {
+        let mut tile = Self { first: [[0.0; TILE]; 3], second: [[0.0; TILE]; 3], cuts: [0.0; TILE] };
         for (i, target) in targets.iter().enumerate() {
-            (0..3).for_each(|axis| tile.coordinates[axis][i] = target[axis]);
+            let split = Split::new(target, coordinates);
+            (0..3).for_each(|axis| tile.first[axis][i] = split.first[axis]);
+            (0..3).for_each(|axis| tile.second[axis][i] = split.second[axis]);
             // Not less than any kernel value, nor than any of the affine functions.
-            tile.cuts[i] = Cut::new((1.001 * (target.norm() + reach)).powi(3).max(1.0), bits);
+            tile.cuts[i] = Cut::new((1.001 * (target.norm() + reach)).powi(3).max(1.0), bits).0;
         }
         tile
     }
 
-    /// First and second parts of the kernel values, source after source, and after them of the affine functions.
-    #[inline(always)]
-    fn panel(&self, sources: &Cloud, range: std::ops::Range<usize>, firsts: &mut [f64], seconds: &mut [f64]) {
-        let columns = firsts.chunks_exact_mut(TILE).zip(seconds.chunks_exact_mut(TILE));
-        for ((firsts, seconds), j) in columns.zip(range) {
-            if let Some(k) = j.checked_sub(sources.count) {
-                for i in 0..TILE {
-                    let x = Vector3::from(self.coordinates.map(|c| c[i]));
-                    let value = monomials(&x)[k];
-                    firsts[i] = self.cuts[i].first(value);
-                    seconds[i] = value - firsts[i];
-                }
-                continue;
-            }
-            let source = sources.get(j);
-            for i in 0..TILE {
-                let (value, rounded) = cube([
-                    two_sum(self.coordinates[0][i], -source.x),
-                    two_sum(self.coordinates[1][i], -source.y),
-                    two_sum(self.coordinates[2][i], -source.z),
-                ]);
-                firsts[i] = self.cuts[i].first(value);
-                seconds[i] = (value - firsts[i]) + rounded;
+    /// First and second parts of the affine functions, one after the other; returns how many there are.
+    fn affine(&self, targets: &[Vector3], firsts: &mut [f64], seconds: &mut [f64]) -> usize {
+        for (i, target) in targets.iter().enumerate() {
+            for (k, value) in monomials(target).into_iter().enumerate() {
+                [firsts[k * TILE + i], seconds[k * TILE + i]] = Cut(self.cuts[i]).both(value);
             }
         }
+        AFFINE
     }
 }
 
-/// The third power of the length of a vector, and what is rounded off, to about 100 bits.
-#[inline(always)]
-fn cube([(x, x_rest), (y, y_rest), (z, z_rest)]: [(f64, f64); 3]) -> (f64, f64) {
-    let square = |hi: f64, lo: f64| {
-        let (product, rest) = two_product(hi, hi);
-        (product, (2.0 * hi).mul_add(lo, rest))
-    };
-    let ((xx, xx_rest), (yy, yy_rest), (zz, zz_rest)) =
-        (square(x, x_rest), square(y, y_rest), square(z, z_rest));
-    let (sum, rest) = two_sum(xx, yy);
-    let (sum, more) = two_sum(sum, zz);
-    let rest = ((xx_rest + yy_rest) + zz_rest) + (rest + more);
-    // With r^2 = s + d: r^3 + 3/2 r d, beyond which there is nothing left.
-    let r = sum.sqrt();
-    let off = (-r).mul_add(r, sum) + rest;
-    let (squared, squared_rest) = two_product(r, r);
-    let (cubed, cubed_rest) = two_product(squared, r);
-    (cubed, (1.5 * r).mul_add(off, squared_rest.mul_add(r, cubed_rest)))
+/// As many targets as a vector has lanes.
+struct Vector<S: Simd> {
+    simd: S,
+    first: [S::f64s; 3],
+    second: [S::f64s; 3],
+    cut: S::f64s,
+}
+
+impl<S: Simd> Vector<S> {
+    #[inline(always)]
+    fn new(simd: S, tile: &Tile, at: usize) -> Self {
+        let part = |values: &[f64; TILE]| S::as_simd_f64s(values).0[at];
+        let [x, y, z] = &tile.first;
+        let [u, v, w] = &tile.second;
+        Self {
+            simd,
+            first: [part(x), part(y), part(z)],
+            second: [part(u), part(v), part(w)],
+            cut: part(&tile.cuts),
+        }
+    }
+
+    /// Calls `f(j, [first, second])` with the parts of the kernel values for source after source, `roots` long at most. Square
+    /// roots take long: they are all begun before the first of them is used.
+    #[inline(always)]
+    fn kernels<'a>(
+        &self,
+        sources: impl Iterator<Item = &'a Split>,
+        roots: &mut [Root<S>],
+        mut f: impl FnMut(usize, [S::f64s; 2]),
+    ) {
+        let mut count = 0;
+        for (root, source) in roots.iter_mut().zip(sources) {
+            *root = self.root(source);
+            count += 1;
+        }
+        for (j, root) in roots[..count].iter().enumerate() {
+            let (value, rounded) = root.cube(self.simd);
+            let first = self.simd.sub_f64s(self.simd.add_f64s(value, self.cut), self.cut);
+            f(j, [first, self.simd.add_f64s(self.simd.sub_f64s(value, first), rounded)]);
+        }
+    }
+
+    /// The distance from a source. Squares of first parts have an exact sum.
+    #[inline(always)]
+    fn root(&self, source: &Split) -> Root<S> {
+        let simd = self.simd;
+        let less = |x: S::f64s, s: f64| simd.sub_f64s(x, simd.splat_f64s(s));
+        let fma = |a, b, c| simd.mul_add_f64s(a, b, c);
+        let ([x, y, z], [u, v, w]) = (self.first, self.second);
+        let ([a, b, c], [d, e, f]) = (source.first, source.second);
+        let ([x, y, z], [u, v, w]) =
+            ([less(x, a), less(y, b), less(z, c)], [less(u, d), less(v, e), less(w, f)]);
+        let two = simd.splat_f64s(2.0);
+        let squares = fma(z, z, fma(y, y, simd.mul_f64s(x, x)));
+        let small = fma(fma(two, z, w), w, fma(fma(two, y, v), v, simd.mul_f64s(fma(two, x, u), u)));
+        // Rounding may take it below zero where first parts differ and wholes hardly do.
+        let squared = simd.max_f64s(simd.add_f64s(squares, small), simd.splat_f64s(0.0));
+        let rounded = simd.sub_f64s(small, simd.sub_f64s(squared, squares));
+        Root { squared, rounded, r: simd.sqrt_f64s(squared) }
+    }
+}
+
+/// A distance: `squared + rounded` is its square, `r` the root of `squared`.
+#[derive(Clone, Copy)]
+struct Root<S: Simd> {
+    squared: S::f64s,
+    rounded: S::f64s,
+    r: S::f64s,
+}
+
+impl<S: Simd> Root<S> {
+    #[inline(always)]
+    fn zero(simd: S) -> Self {
+        let zero = simd.splat_f64s(0.0);
+        Self { squared: zero, rounded: zero, r: zero }
+    }
+
+    /// Its third power, and what is rounded off.
+    #[inline(always)]
+    fn cube(&self, simd: S) -> (S::f64s, S::f64s) {
+        // With squared + rounded = r^2 + d: (r^2 + d)^(3/2) = r^3 + 3/2 r d = r squared + r (d / 2 + rounded), beyond which there
+        // is nothing left.
+        let Self { squared, rounded, r } = *self;
+        let minus = simd.neg_f64s(r);
+        let d = simd.add_f64s(simd.mul_add_f64s(minus, r, squared), rounded);
+        let value = simd.mul_f64s(r, squared);
+        let product = simd.neg_f64s(simd.mul_add_f64s(minus, squared, value));
+        let half = simd.mul_add_f64s(simd.splat_f64s(0.5), d, rounded);
+        (value, simd.mul_add_f64s(r, half, product))
+    }
+}
+
+/// Sums over the sources at all targets of a tile, exact ones and the rest, column after column.
+struct Radial<'a, const N: usize> {
+    tile: &'a Tile,
+    sources: &'a [Source<N>],
+}
+
+impl<const N: usize> WithSimd for Radial<'_, N> {
+    type Output = [[[f64; TILE]; N]; 2];
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
+        let mut sums = [[[0.0; TILE]; N]; 2];
+        let mut roots = [Root::zero(simd); BLOCK];
+        for sources in self.sources.chunks(BLOCK) {
+            for at in 0..TILE / S::F64_LANES {
+                let vector = Vector::new(simd, self.tile, at);
+                let mut exact = [simd.splat_f64s(0.0); N];
+                let mut rest = exact;
+                for c in 0..N {
+                    exact[c] = S::as_simd_f64s(&sums[0][c]).0[at];
+                    rest[c] = S::as_simd_f64s(&sums[1][c]).0[at];
+                }
+                vector.kernels(sources.iter().map(|s| &s.at), &mut roots, |j, [first, second]| {
+                    let [w_1, w_2, w] = &sources[j].weights;
+                    for c in 0..N {
+                        exact[c] = simd.mul_add_f64s(first, simd.splat_f64s(w_1[c]), exact[c]);
+                        let small = simd.mul_f64s(first, simd.splat_f64s(w_2[c]));
+                        let small = simd.mul_add_f64s(second, simd.splat_f64s(w[c]), small);
+                        rest[c] = simd.add_f64s(rest[c], small);
+                    }
+                });
+                for c in 0..N {
+                    S::as_mut_simd_f64s(&mut sums[0][c]).0[at] = exact[c];
+                    S::as_mut_simd_f64s(&mut sums[1][c]).0[at] = rest[c];
+                }
+            }
+        }
+        sums
+    }
+}
+
+/// First and second parts of the kernel values of a tile, source after source.
+struct Panel<'a> {
+    tile: &'a Tile,
+    sources: &'a [Split],
+    firsts: &'a mut [f64],
+    seconds: &'a mut [f64],
+}
+
+impl WithSimd for Panel<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, simd: S) {
+        let vectors = TILE / S::F64_LANES;
+        let (firsts, seconds) = (S::as_mut_simd_f64s(self.firsts).0, S::as_mut_simd_f64s(self.seconds).0);
+        let mut roots = [Root::zero(simd); BLOCK];
+        for (block, sources) in self.sources.chunks(BLOCK).enumerate() {
+            for at in 0..vectors {
+                let vector = Vector::new(simd, self.tile, at);
+                vector.kernels(sources.iter(), &mut roots, |j, [first, second]| {
+                    let to = (block * BLOCK + j) * vectors + at;
+                    (firsts[to], seconds[to]) = (first, second);
+                });
+            }
+        }
+    }
 }
 
 /// `sum_j w_j [1, s_j]`: the transpose of the affine part.
@@ -250,4 +474,76 @@ pub(super) fn moments(sources: &Cloud, leading: &Part, rest: Option<&Part>) -> S
         }
     }
     sums
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    struct Cubes {
+        target: Vector3,
+        source: Vector3,
+        coordinates: Cut,
+        cut: Cut,
+    }
+
+    impl WithSimd for Cubes {
+        type Output = [f64; 2];
+
+        #[inline(always)]
+        fn with_simd<S: Simd>(self, simd: S) -> [f64; 2] {
+            let mut tile = Tile::new(&[self.target], self.coordinates, 0.0, 20);
+            tile.cuts[0] = self.cut.0;
+            let mut parts = [[0.0; TILE]; 2];
+            let source = Split::new(&self.source, self.coordinates);
+            let mut roots = [Root::zero(simd)];
+            Vector::new(simd, &tile, 0).kernels([&source].into_iter(), &mut roots, |_, kernel| {
+                for (part, value) in parts.iter_mut().zip(kernel) {
+                    S::as_mut_simd_f64s(part).0[0] = value;
+                }
+            });
+            parts.map(|part| part[0])
+        }
+    }
+
+    type Pair = (f64, f64);
+
+    fn plus(a: Pair, b: Pair) -> Pair {
+        let (sum, rest) = two_sum(a.0, b.0);
+        two_sum(sum, rest + (a.1 + b.1))
+    }
+
+    fn times(a: Pair, b: Pair) -> Pair {
+        let (product, rest) = two_product(a.0, b.0);
+        two_sum(product, rest + (a.0 * b.1 + a.1 * b.0))
+    }
+
+    /// The square of a kernel value is `r^6`, which takes no root.
+    #[test]
+    fn kernel_values_have_more_digits_than_a_double() {
+        let mut state = 5_u64;
+        let mut next = |bits: i32| {
+            state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+            // Multiples of 2^-40 up to 2^bits: their differences are exact.
+            ((state >> 23) as f64 * 2_f64.powi(-40) - 1.0) * 2_f64.powi(bits)
+        };
+        let (coordinates, cut) = (Cut::new(2.0, COORDINATE_BITS), Cut::new(64.0, 20));
+        for i in 0..4000 {
+            let on_grid = |x: f64| (x * 2_f64.powi(40)).round() * 2_f64.powi(-40);
+            let target = Vector3::new(next(0), next(0), next(0));
+            // Far, near, within what first parts see, and the same.
+            let reach = [0, -8, -24, -60][i % 4];
+            let source = target + Vector3::new(next(reach), next(reach), next(reach)).map(on_grid);
+            let [first, second] = Arch::new().dispatch(Cubes { target, source, coordinates, cut });
+            assert_eq!(first, cut.first(first));
+            let d = target - source;
+            let squared = d.iter().map(|&x| two_product(x, x)).fold((0.0, 0.0), plus);
+            let sixth = times(times(squared, squared), squared);
+            let value = two_sum(first, second);
+            let (off, rest) = plus(times(value, value), (-sixth.0, -sixth.1));
+            let error = (off + rest).abs() / (2.0 * value.0).max(2_f64.powi(-66));
+            // Largest values are 2^6.
+            assert!(error <= 2_f64.powi(-66), "{target} {source}: {error:e} of {}", value.0);
+        }
+    }
 }
