@@ -31,7 +31,7 @@ fn json(mut builder: Builder, descriptors: &FileDescriptorSet) -> Builder {
     const DERIVE: &str = "#[derive(serde::Serialize, utoipa::ToSchema)]";
     const WORDS: &str = "#[serde(rename_all = \"snake_case\")]";
     // These may be infinite, which JSON writes as null.
-    const INFINITE: [&str; 10] = [
+    const INFINITE: [&str; 11] = [
         "Variable",
         "QualitySummary",
         "Distribution",
@@ -41,6 +41,7 @@ fn json(mut builder: Builder, descriptors: &FileDescriptorSet) -> Builder {
         "DotProductError",
         "StepError",
         "DifferenceError",
+        "Kink",
         "FlowCoefficients",
     ];
     for file in descriptors.file.iter().filter(|file| file.package() == "moldline.v1") {

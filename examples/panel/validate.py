@@ -151,8 +151,8 @@ class Validation:
         def chord(eta: Array) -> Array:
             return np.sqrt(1 - eta**2)
 
-        # The quarter chord is straight; at the very tip there would be no chord.
-        elliptic = Wing(4.0, chord, lambda eta: -0.25 * chord(eta), cut=0.999)
+        # The quarter chord is straight. The last hundredths of the span are cut off, where cells would taper to nothing.
+        elliptic = Wing(4.0, chord, lambda eta: -0.25 * chord(eta), cut=0.98)
         analyses = self.wing("elliptic wing", elliptic, 8.0 * elliptic.cut, grids)
         for row in self.tables["elliptic wing"][1:]:
             name = f"elliptic wing, {row['around']} x {row['along']}: span efficiency"

@@ -40,6 +40,21 @@ def command(binary: Path, setup_folder: Path, tmp_path_factory: pytest.TempPathF
     return ran.stdout, json.loads(file.read_text())
 
 
+def test_a_kink_is_told_and_is_no_error(binary: Path, client: moldline.Client, tmp_path: Path) -> None:
+    """The wing of the half model has a crease at y = 1.6 m, on which vertices lie at the baseline."""
+    folder, file = ROOT / "tests/configurations/half", tmp_path / "check.json"
+    arguments = ["check", str(folder), "--variables", "wing.rotation", "--json", str(file)]
+    ran = subprocess.run([binary, *arguments], check=True, capture_output=True, text=True)
+    check = client.check(folder, variables=["wing.rotation"])
+    assert check.to_json() == json.loads(file.read_text())
+    (row,) = check.rows
+    assert row.central_difference is not None and row.central_difference > 1e-6
+    assert row.kink is not None and row.kink.component == "wing"
+    assert row.kink.position[1] == pytest.approx(1.6)
+    assert check.central_difference_max == row.kink.error <= 1e-6
+    assert f"vertex {row.kink.worst_vertex} of `wing`" in ran.stdout
+
+
 def test_the_service_finds_what_the_command_finds(setup: moldline.Setup, command: tuple[str, dict]) -> None:
     told: list[moldline.Progress] = []
     check = setup.check(2, seed=5, variables=["boom.lift", "boom.far"], progress=told.append)

@@ -95,6 +95,14 @@ fn document(report: &Report) -> Value {
                 "best_step": best.map(|(step, _)| step),
                 "functions": row.functions,
                 "differences": differences,
+                "kink": row.kink.as_ref().map(|kink| json!({
+                    "vertices": kink.vertices.len(),
+                    "worst_vertex": kink.worst,
+                    "jump": kink.jump,
+                    "position": kink.position,
+                    "component": kink.component,
+                    "error": kink.error,
+                })),
             })
         })
         .collect();

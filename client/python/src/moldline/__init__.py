@@ -12,7 +12,7 @@ method.
 """
 
 from moldline import panel
-from moldline.check import Check, CheckedDesign, CheckedVariable, Difference, DotProduct
+from moldline.check import Check, CheckedDesign, CheckedVariable, Difference, DotProduct, Kink
 from moldline.client import Client, Session, Setup
 from moldline.connection import TLS
 from moldline.errors import (
@@ -79,6 +79,7 @@ __all__ = [
     "InternalError",
     "InvalidArgument",
     "Jacobian",
+    "Kink",
     "Linearisation",
     "Mesh",
     "MoldlineError",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -31,6 +31,23 @@ class Difference:
     step: float
     #: `None` if one of the two designs has no mesh.
     error: float | None
+
+
+@dataclass(frozen=True)
+class Kink:
+    """Vertices on a crease that they cross: they have no derivative, but one to either side."""
+
+    #: How many they are.
+    vertices: int
+    #: The one whose derivatives differ most.
+    worst_vertex: int
+    #: By how much, metres per unit of the variable.
+    jump: float
+    #: Where it is, metres, and on which component.
+    position: tuple[float, ...]
+    component: str
+    #: Relative error of the derivative, against that to the nearer side there, and central differences at all other vertices.
+    error: float
 
 
 @dataclass(frozen=True)
@@ -69,6 +86,8 @@ class CheckedVariable:
     differences: tuple[Difference, ...]
     #: Of the scalar outputs against central differences at the best step: the largest.
     functions: float
+    #: Looked for where central differences do not agree at any step; `None` if there is none.
+    kink: Kink | None
 
     @property
     def best(self) -> Difference | None:
@@ -133,6 +152,7 @@ class Check:
                 "best_step": row.best.step if row.best else None,
                 "functions": _number(row.functions),
                 "differences": [{"step": each.step, "error": _number(each.error)} for each in row.differences],
+                "kink": asdict(row.kink) | {"position": list(row.kink.position)} if row.kink else None,
             }
             for row in self.rows
         ]
@@ -192,7 +212,12 @@ def _row(row: wire.CheckedVariable) -> CheckedVariable:
             Difference(each.step, each.error if each.HasField("error") else None) for each in row.differences
         ),
         functions=row.functions,
+        kink=_kink(row.kink) if row.HasField("kink") else None,
     )
+
+
+def _kink(kink: wire.Kink) -> Kink:
+    return Kink(kink.vertices, kink.worst_vertex, kink.jump, tuple(kink.position), kink.component, kink.error)
 
 
 def _number(value: float | None) -> float | None:

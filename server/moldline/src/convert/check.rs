@@ -57,6 +57,14 @@ pub fn report(Product { value: report, timing }: &Product<CheckReport>) -> v1::C
             .map(|difference| v1::DifferenceError { step: difference.step, error: difference.error })
             .collect(),
         functions: row.functions,
+        kink: row.kink.as_ref().map(|kink| v1::Kink {
+            vertices: kink.vertices.len() as u32,
+            worst_vertex: kink.worst as u32,
+            jump: kink.jump,
+            position: kink.position.to_vec(),
+            component: kink.component.clone(),
+            error: kink.error,
+        }),
     });
     let [dot_products, dual, central] = report.maxima().map(|maximum| maximum.error);
     let report = v1::CheckReport {
