@@ -1,4 +1,4 @@
-//! The demonstration, the figures and the study.
+//! The demonstration, the figures, the study and the trials.
 
 use std::path::PathBuf;
 
@@ -26,6 +26,19 @@ pub fn study(arguments: &[String]) -> Outcome {
     let mut script = python.script("examples/e175/study/study.py");
     script.arg("--binary").arg(binary).arg("--out").arg(root().join("out/study")).args(arguments);
     run("study", &mut script)
+}
+
+/// Kills, loads, full disks and two servers: `tests/torture/torture.py` against the release build.
+pub fn torture(short: bool, only: &[String]) -> Outcome {
+    let python = Python::ready()?;
+    let binary = build_moldline(true)?;
+    let mut script = python.script("tests/torture/torture.py");
+    script.arg("--binary").arg(binary).arg("--out").arg(root().join("out/torture.json"));
+    if short {
+        script.arg("--short");
+    }
+    script.args(only.iter().flat_map(|trial| ["--only", trial.as_str()]));
+    run("torture", &mut script)
 }
 
 /// The fillet against rho (Fig. 5 of the paper).
