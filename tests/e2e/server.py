@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import threading
+from collections.abc import Mapping
 from pathlib import Path
-from types import TracebackType
+from types import MappingProxyType, TracebackType
 from typing import Any
 
 import moldline
@@ -17,14 +19,24 @@ class Server:
     """A running `moldline serve` on a free port of the loopback interface; its store ends with it if none is named.
 
     `command`: what is run in its place.
+    `environment`: variables besides those of this process.
+    `within`: a program and its arguments that runs the server as itself, such as `nsenter`.
     """
 
     def __init__(
-        self, binary: Path, *options: str, store: Path | str = "memory", command: tuple[str, ...] | None = None
+        self,
+        binary: Path,
+        *options: str,
+        store: Path | str = "memory",
+        command: tuple[str, ...] | None = None,
+        environment: Mapping[str, str] = MappingProxyType({}),
+        within: tuple[str, ...] = (),
     ) -> None:
         listen = [] if "--listen" in options else ["--listen", "127.0.0.1:0"]
-        arguments = [str(binary), *(command or ("serve", "--store", str(store))), *listen, *options]
-        self.process = subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        arguments = [*within, str(binary), *(command or ("serve", "--store", str(store))), *listen, *options]
+        self.process = subprocess.Popen(
+            arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env={**os.environ, **environment}
+        )
         self.log: list[str] = []
         self._reader = threading.Thread(target=self._read_log, daemon=True)
         self._reader.start()

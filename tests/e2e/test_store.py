@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import grpc
 import numpy as np
 import pytest
+import seaweed
 from moldline import arrays
 from moldline.v1 import mesh_service_pb2 as wire
 from moldline.v1 import mesh_service_pb2_grpc
@@ -59,6 +61,36 @@ def test_a_session_goes_on_after_kill_9(binary: Path, setup_folder: Path, tmp_pa
         with stub(two) as meshes, pytest.raises(grpc.RpcError) as lost:
             update(meshes, stored, setup.baseline)
         assert lost.value.code() == grpc.StatusCode.ABORTED
+
+
+def test_two_servers_share_an_object_store(binary: Path, setup_folder: Path, tmp_path: Path) -> None:
+    if seaweed.program() is None:
+        pytest.skip("SeaweedFS is not installed")
+    with ExitStack() as stack:
+        objects = stack.enter_context(seaweed.SeaweedFS(tmp_path / "objects"))
+
+        def start() -> Server:
+            return stack.enter_context(Server(binary, store=objects.store, environment=objects.environment))
+
+        one = start()
+        with one.client() as client, stub(one) as meshes:
+            setup = client.create_setup(setup_folder)
+            opened = meshes.OpenSession(wire.OpenSessionRequest(setup_id=setup.id, label="run 8"), timeout=60).session
+            stored = update(meshes, opened, setup.baseline + 0.1)
+            before = deform(meshes, stored)
+        other = start()
+        with stub(one) as here, stub(other) as there:
+            found = there.GetSession(wire.GetSessionRequest(session_id=opened.session_id), timeout=60).session
+            assert found == stored
+            assert deform(there, found).vertices == before.vertices
+            assert any("loaded a set-up" in line for line in other.log), "it was not built again"
+            update(there, stored, setup.baseline)
+            with pytest.raises(grpc.RpcError) as lost:
+                update(here, stored, setup.baseline)
+            assert lost.value.code() == grpc.StatusCode.ABORTED
+        verify = [str(binary), "store", "verify", "--store", objects.store]
+        verified = subprocess.run(verify, capture_output=True, env={**os.environ, **objects.environment}, timeout=60)
+        assert verified.returncode == 0, verified
 
 
 def test_gc_says_what_it_would_remove_and_verify_finds_damage(binary: Path, setup_folder: Path, tmp_path: Path) -> None:

@@ -41,7 +41,10 @@ pub fn test() -> Outcome {
     };
     step(rust_lints());
     step(python_lints(&python));
-    step(run("cargo test", cargo().args(["test", "--locked", "--workspace", "--no-fail-fast"])));
+    // With an object store for those that use one.
+    let mut tests = python.script("tests/e2e/seaweed.py");
+    tests.arg(cargo().get_program()).args(["test", "--locked", "--workspace", "--no-fail-fast"]);
+    step(run("cargo test", &mut tests));
     match build_moldline(false).and_then(|binary| Ok((binary, Clients::built()?))) {
         Ok((binary, clients)) => {
             let mut pytest = python.module("pytest");

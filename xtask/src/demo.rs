@@ -1,4 +1,4 @@
-//! The demonstration, the figures, the study and the validation.
+//! The demonstration, the figures, the study, the validation and the trials.
 
 use std::path::PathBuf;
 
@@ -35,6 +35,19 @@ pub fn validate_panel() -> Outcome {
     let mut script = python.script("examples/panel/validate.py");
     script.arg("--binary").arg(binary).arg("--out").arg(root().join("out/panel"));
     run("validation of the panel method", script.arg("--docs").arg(root().join("docs")))
+}
+
+/// Kills, loads, full disks and two servers: `tests/torture/torture.py` against the release build.
+pub fn torture(short: bool, only: &[String]) -> Outcome {
+    let python = Python::ready()?;
+    let binary = build_moldline(true)?;
+    let mut script = python.script("tests/torture/torture.py");
+    script.arg("--binary").arg(binary).arg("--out").arg(root().join("out/torture.json"));
+    if short {
+        script.arg("--short");
+    }
+    script.args(only.iter().flat_map(|trial| ["--only", trial.as_str()]));
+    run("torture", &mut script)
 }
 
 /// The fillet against rho (Fig. 5 of the paper).

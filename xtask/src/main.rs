@@ -1,4 +1,5 @@
-//! The repository's own commands: `cargo xtask demo | figures | study | validate-panel | test | lint | clients | bench`.
+//! The repository's own commands: `cargo xtask demo | figures | study | validate-panel | test | lint | clients | bench |
+//! torture`.
 //!
 //! They need Rust, a C compiler and Python >= 3.11 only; everything else comes from crates.io and PyPI, into `target/`, but
 //! for what the C++ client is built with: that comes from the distribution.
@@ -59,6 +60,15 @@ enum Command {
         #[arg(long, requires = "large")]
         large_folder: Option<PathBuf>,
     },
+    /// Kill, overload and starve servers, spoil their disks, move sessions between two; figures go to out/torture.json
+    Torture {
+        /// Less of everything: three minutes at most
+        #[arg(long)]
+        short: bool,
+        /// Only this trial, as in `kill`; several times for several
+        #[arg(long, value_name = "TRIAL")]
+        only: Vec<String>,
+    },
 }
 
 fn main() -> ExitCode {
@@ -71,6 +81,7 @@ fn main() -> ExitCode {
         Command::Lint => check::lint(),
         Command::Clients => clients::Clients::built().map(drop),
         Command::Bench { large, large_folder } => bench::bench(large, large_folder),
+        Command::Torture { short, only } => demo::torture(short, &only),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,

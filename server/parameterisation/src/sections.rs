@@ -6,6 +6,8 @@ use crate::{Axis, ComponentReference};
 
 /// Samples kept per component at most, so that a huge control net does not become a huge sampling.
 const SAMPLE_LIMIT: usize = 100_000;
+/// Points of a sample line that are passed over at once where a plane is elsewhere.
+const BLOCK: usize = 16;
 /// Sections of the midpoint rule for the planform area.
 const AREA_SECTIONS: usize = 256;
 
@@ -43,8 +45,56 @@ impl Section {
 
 /// Grids of points on the surfaces of some components, to be cut by planes.
 pub(crate) struct SampledSurfaces {
-    /// Shape and points (second index fastest) of each patch.
-    grids: Vec<(usize, usize, Vec<Vector3>)>,
+    grids: Vec<Grid>,
+    /// Of all points.
+    bounds: Bounds,
+}
+
+/// Points of a patch.
+struct Grid {
+    n_u: usize,
+    n_v: usize,
+    /// Second index fastest.
+    points: Vec<Vector3>,
+    /// By block, of the lines that begin in it.
+    bounds: Vec<Bounds>,
+}
+
+impl Grid {
+    fn new(n_u: usize, n_v: usize, points: Vec<Vector3>) -> Self {
+        let mut grid = Self { n_u, n_v, points, bounds: Vec::new() };
+        grid.bounds = grid
+            .blocks()
+            .map(|(i, from, to)| {
+                // Lines lead to the next point of the row, and to the next row.
+                let row = |i: usize, to: usize| &grid.points[i * n_v + from..i * n_v + to.min(n_v)];
+                let following = if i + 1 < n_u { row(i + 1, to) } else { &[] };
+                Bounds::of(row(i, to + 1).iter().chain(following))
+            })
+            .collect();
+        grid
+    }
+
+    /// Row, first and last column (exclusive) of each block.
+    fn blocks(&self) -> impl Iterator<Item = (usize, usize, usize)> + use<> {
+        let n_v = self.n_v;
+        (0..self.n_u)
+            .flat_map(move |i| (0..n_v).step_by(BLOCK).map(move |from| (i, from, (from + BLOCK).min(n_v))))
+    }
+}
+
+/// Smallest and largest coordinates.
+#[derive(Clone, Copy)]
+struct Bounds {
+    low: Vector3,
+    high: Vector3,
+}
+
+impl Bounds {
+    fn of<'p>(points: impl IntoIterator<Item = &'p Vector3>) -> Self {
+        let none = Self { low: Vector3::repeat(f64::INFINITY), high: Vector3::repeat(f64::NEG_INFINITY) };
+        points.into_iter().fold(none, |all, p| Self { low: all.low.inf(p), high: all.high.sup(p) })
+    }
 }
 
 impl SampledSurfaces {
@@ -57,7 +107,7 @@ impl SampledSurfaces {
             })
             .sum();
         let per_interval = ((SAMPLE_LIMIT / intervals.max(1)) as f64).sqrt().clamp(1.0, 8.0) as usize;
-        let grids = patches()
+        let grids: Vec<Grid> = patches()
             .map(|patch| {
                 let homogeneous: Vec<[f64; 4]> = patch
                     .control_points
@@ -76,18 +126,16 @@ impl SampledSurfaces {
                     .flat_map(|&u| vs.iter().map(move |&v| (u, v)))
                     .map(|(u, v)| surface.position(&homogeneous, u, v))
                     .collect();
-                (us.len(), vs.len(), points)
+                Grid::new(us.len(), vs.len(), points)
             })
             .collect();
-        Self { grids }
+        let bounds = Bounds::of(grids.iter().flat_map(|grid| &grid.points));
+        Self { grids, bounds }
     }
 
     /// Smallest and largest coordinate along an axis.
     pub(crate) fn range(&self, axis: usize) -> (f64, f64) {
-        self.grids
-            .iter()
-            .flat_map(|(_, _, points)| points)
-            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), p| (low.min(p[axis]), high.max(p[axis])))
+        (self.bounds.low[axis], self.bounds.high[axis])
     }
 
     /// Calls `visit` with every point where a sample line meets the plane `axis = station`.
@@ -105,9 +153,13 @@ impl SampledSurfaces {
                 visit(a + (b - a) * (da / (da - db)));
             }
         };
-        for (n_u, n_v, points) in &self.grids {
-            for i in 0..*n_u {
-                for j in 0..*n_v {
+        for grid in &self.grids {
+            let Grid { n_u, n_v, points, bounds } = grid;
+            for ((i, from, to), bounds) in grid.blocks().zip(bounds) {
+                if station < bounds.low[axis] || bounds.high[axis] < station {
+                    continue;
+                }
+                for j in from..to {
                     let p = &points[i * n_v + j];
                     if j + 1 < *n_v {
                         edge(p, &points[i * n_v + j + 1]);
@@ -250,6 +302,36 @@ mod tests {
             SampledSurfaces::new(&[&half]).planform(WING, true).expect("has a planform");
         assert!((area - 30.0).abs() < 0.02, "{area}");
         assert!((aspect_ratio - 100.0 / 30.0).abs() < 0.002);
+    }
+
+    #[test]
+    fn blocks_leave_out_nothing_that_a_plane_meets() {
+        let wing = tapered_wing();
+        let sampled = SampledSurfaces::new(&[&wing]);
+        // The same points, with bounds that hold everywhere.
+        let everything =
+            Bounds { low: -Vector3::repeat(f64::INFINITY), high: Vector3::repeat(f64::INFINITY) };
+        let grids = sampled.grids.iter().map(|grid| Grid {
+            points: grid.points.clone(),
+            bounds: vec![everything; grid.bounds.len()],
+            ..*grid
+        });
+        let exhaustive = SampledSurfaces { grids: grids.collect(), bounds: sampled.bounds };
+        let vertex = sampled.grids[0].points[BLOCK];
+        for axis in 0..3 {
+            let (low, high) = sampled.range(axis);
+            // Ends, planes through points, and planes between.
+            let between = (0..40).map(|k| high.min(low + (high - low) * f64::from(k) / 39.0));
+            for station in between.chain([vertex[axis], low - 1.0]) {
+                let cut = |surfaces: &SampledSurfaces| {
+                    let mut points = Vec::new();
+                    surfaces.cut(axis, station, |p| points.push(p));
+                    points
+                };
+                assert_eq!(cut(&sampled), cut(&exhaustive), "axis {axis}, {station}");
+                assert_eq!(cut(&sampled).is_empty(), station < low, "axis {axis}, {station}");
+            }
+        }
     }
 
     #[test]

@@ -11,7 +11,9 @@ use futures::{
 };
 use moldline_check::Report;
 use moldline_deform::Tangent;
-use moldline_store::{AccessRecord, Claim, Generation, SessionRecord, Shared, Store, StoreError};
+use moldline_store::{
+    AccessRecord, Claim, Generation, SessionRecord, Shared, Store, StoreError, unless_damaged,
+};
 use tokio::sync::Semaphore;
 
 use crate::{
@@ -223,8 +225,8 @@ impl Service {
 
         self.claim(caller, &request_id, &["setup", &id, &format!("{visibility:?}")]).await?;
         let bytes: u64 = content.files.iter().map(|(_, file)| file.len() as u64).sum();
-        let known = self.store.access(tenant.as_str(), &id).await?;
-        if known.as_ref().is_none_or(|known| !known.record.owned) {
+        let known = self.store.access_or_damage(tenant.as_str(), &id).await?.map(|known| known.record);
+        if !matches!(known, Some(Ok(record)) if record.owned) {
             self.check_quota(caller, bytes).await?;
         }
         let files = std::mem::take(&mut content.files);
@@ -263,9 +265,10 @@ impl Service {
     ) -> Result<(Access, bool), ServiceError> {
         let (tenant, id) = (caller.tenant.as_str(), setup.id.as_str());
         loop {
-            let known = self.store.access(tenant, id).await?;
+            let known = self.store.access_or_damage(tenant, id).await?;
             let number = known.as_ref().map_or(1, |known| known.number + 1);
-            let (record, new) = match known.map(|known| known.record).filter(|record| record.owned) {
+            let known = unless_damaged(known.map(|known| known.record).transpose())?;
+            let (record, new) = match known.filter(|record| record.owned) {
                 Some(record) => match &visibility {
                     Some(visibility) => (AccessRecord { shared: shared(visibility), ..record }, false),
                     None => return Ok((owner_access(&record), false)),
@@ -293,11 +296,7 @@ impl Service {
     }
 
     /// What a set-up is to a tenant; `None` if it may not use it.
-    async fn access(
-        &self,
-        tenant: &Tenant,
-        id: &str,
-    ) -> Result<Option<(AccessRecord, Access)>, ServiceError> {
+    async fn access(&self, tenant: &Tenant, id: &str) -> Result<Option<(AccessRecord, Access)>, StoreError> {
         if !SetupId::is_one(id) {
             return Ok(None);
         }
@@ -306,15 +305,7 @@ impl Service {
             let access = owner_access(&record);
             return Ok(Some((record, access)));
         }
-        let granted = match self.store.granted(tenant.as_str(), id).await {
-            Ok(granted) => granted,
-            // It names an owner, of whom the caller has to learn nothing.
-            Err(error @ StoreError::Corrupt { .. }) => {
-                tracing::error!(%error, "taken for not shared");
-                None
-            }
-            Err(error) => return Err(error.into()),
-        };
+        let granted = self.store.granted(tenant.as_str(), id).await?;
         Ok(granted.map(|record| {
             let visibility = match record.shared {
                 Shared::Public => Visibility::Public,
@@ -335,7 +326,7 @@ impl Service {
     ) -> Result<Listed<SetupSummary>, ServiceError> {
         let names = self.store.setups_of(caller.tenant.as_str()).await?;
         let summaries = after(names, page).map(|id| async move {
-            let found = self.access(&caller.tenant, &id).await?;
+            let found = unless_damaged(self.access(&caller.tenant, &id).await)?;
             Ok(found.map(|(record, access)| SetupSummary {
                 id,
                 name: record.name,
@@ -524,7 +515,7 @@ impl Service {
     ) -> Result<Listed<Session>, ServiceError> {
         let tenant = caller.tenant.as_str();
         let found = after(self.store.sessions(tenant).await?, page).map(|id| async move {
-            let latest = self.store.session(tenant, &id).await?;
+            let latest = unless_damaged(self.store.session(tenant, &id).await)?;
             Ok(latest.map(|latest| Session { design: None, ..sessions::session(&id, latest) }))
         });
         self.listed(page, found.buffered(AT_ONCE), |session: &Session| session.id.clone()).await
@@ -584,13 +575,13 @@ impl Service {
         ))
     }
 
-    /// Closes a session for good.
+    /// Closes a session for good; one whose record is damaged too.
     ///
     /// # Errors
     /// `NotFound`, `PermissionDenied` to readers, `Unavailable` if it cannot be stored.
     pub async fn close_session(&self, caller: &Principal, id: &str) -> Result<(), ServiceError> {
         caller.need(Role::User)?;
-        self.sessions.get(&caller.tenant, id).await?;
+        self.sessions.find(&caller.tenant, id).await?;
         self.store.close_session(caller.tenant.as_str(), id).await?;
         self.sessions.closed(&caller.tenant, id);
         Ok(())

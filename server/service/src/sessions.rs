@@ -81,6 +81,18 @@ impl Sessions {
         self.latest(tenant, id).await?.ok_or_else(|| ServiceError::not_found("session", id))
     }
 
+    /// Whether there is an open session of that id, be it damaged.
+    ///
+    /// # Errors
+    /// `NotFound`, or if the store does not answer.
+    pub async fn find(&self, tenant: &Tenant, id: &str) -> Result<(), ServiceError> {
+        match self.latest(tenant, id).await {
+            Ok(Some(_)) | Err(StoreError::Corrupt { .. }) => Ok(()),
+            Ok(None) => Err(ServiceError::not_found("session", id)),
+            Err(error) => Err(error.into()),
+        }
+    }
+
     async fn latest(
         &self,
         tenant: &Tenant,

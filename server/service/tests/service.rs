@@ -4,14 +4,16 @@
 mod ball;
 
 use std::{
+    fs,
+    path::{Path, PathBuf},
     sync::{Arc, Mutex},
     time::Duration,
 };
 
 use moldline_deform::Setup;
 use moldline_service::{
-    At, Code, ControlPointVectors, Design, Directions, FileEntry, Limits, PoolLimits, Principal, Seeds,
-    Service, ServiceError, Upload, UploadHeader, UploadSource, Uploaded, Values, Wanted,
+    At, Code, ControlPointVectors, Design, Directions, FileEntry, Limits, Page, PoolLimits, Principal, Seeds,
+    Service, ServiceError, Store, Upload, UploadHeader, UploadSource, Uploaded, Values, Wanted,
 };
 
 fn service(threads: usize, limits: Limits) -> Service {
@@ -371,4 +373,39 @@ async fn linearisations_are_shared_by_a_tenants_sessions_and_made_again_with_the
     assert_eq!(error.code, Code::NotFound, "of another set-up");
     service.close_session(&caller, &sessions[0]).await.unwrap();
     assert_eq!(product(0, At::id(&ids[1])).await.unwrap_err().violations[0].field, "session_id");
+}
+
+/// The last file below a folder.
+fn last_file(folder: &Path) -> PathBuf {
+    let path = fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path()).max().unwrap();
+    if path.is_dir() { last_file(&path) } else { path }
+}
+
+#[tokio::test]
+async fn a_damaged_record_is_a_fault_of_its_own_and_can_be_written_anew() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = Store::open(folder.path().to_str().unwrap()).await.unwrap();
+    let limits = PoolLimits { threads: 1, running: 1, queued: 16 };
+    let service = Service::with_store(store, limits, Limits::default()).unwrap();
+    let (good, bad) = (create(&service, "good").await.unwrap(), create(&service, "bad").await.unwrap());
+    let (whole, damaged) = (open(&service, &good).await, open(&service, &good).await);
+    let spoil = |row: &str| fs::write(last_file(&folder.path().join(row)), b"not what was written").unwrap();
+    spoil(&format!("access/local/{bad}"));
+    spoil(&format!("session/local/{damaged}"));
+    let is_fault = |error: ServiceError| error.code == Code::Internal && error.message.contains("damaged");
+
+    assert!(is_fault(service.get_setup(&local(), &bad).await.unwrap_err()));
+    assert!(is_fault(service.get_session(&local(), &damaged).await.unwrap_err()));
+    // Lists, quotas and the load go on without.
+    let setups = service.list_setups(&local(), &Page::default()).await.unwrap().entries;
+    assert_eq!(setups.iter().map(|setup| &setup.id).collect::<Vec<_>>(), [&good]);
+    let sessions = service.list_sessions(&local(), &Page::default()).await.unwrap().entries;
+    assert_eq!(sessions.iter().map(|session| &session.id).collect::<Vec<_>>(), [&whole]);
+    create(&service, "another").await.unwrap();
+    service.status(&local()).await.unwrap();
+    // The way out: the same content again, and closing.
+    assert_eq!(create(&service, "bad").await.unwrap(), bad);
+    assert!(service.get_setup(&local(), &bad).await.unwrap().access.owned);
+    service.close_session(&local(), &damaged).await.unwrap();
+    assert_eq!(service.get_session(&local(), &damaged).await.unwrap_err().code, Code::NotFound);
 }

@@ -68,9 +68,18 @@ impl Backend {
             return Err(refused(location, "only s3:// is known among URLs"));
         }
         let prefix = Path::from_url_path(url.path()).map_err(|error| refused(location, error.to_string()))?;
+        // The provider of cryptography that everything here uses. That it is chosen already is fine.
+        let _ = tokio_rustls::rustls::crypto::ring::default_provider().install_default();
         // Endpoint, region and credentials come from the environment: AWS_ENDPOINT, AWS_REGION, AWS_ACCESS_KEY_ID, ...
         let builder = object_store::aws::AmazonS3Builder::from_env().with_url(location);
-        let objects = builder.build().map_err(|error| refused(location, error.to_string()))?;
+        // Callers wait for it: they hear soon that it does not answer, and decide themselves whether to try again.
+        let retry = object_store::RetryConfig {
+            max_retries: 5,
+            retry_timeout: std::time::Duration::from_secs(15),
+            ..Default::default()
+        };
+        let objects =
+            builder.with_retry(retry).build().map_err(|error| refused(location, error.to_string()))?;
         Ok(Self { objects: Arc::new(objects), prefix, folder: None })
     }
 

@@ -68,6 +68,21 @@ impl StoreError {
     }
 }
 
+/// What goes into a list, or counts for many: nothing in place of what is damaged, which is said to those who ask for it by
+/// name.
+///
+/// # Errors
+/// All others.
+pub fn unless_damaged<T>(found: Result<Option<T>, StoreError>) -> Result<Option<T>, StoreError> {
+    match found {
+        Err(error @ StoreError::Corrupt { .. }) => {
+            tracing::error!(%error, "going on without it");
+            Ok(None)
+        }
+        found => found,
+    }
+}
+
 /// An error and what is below it, outermost first.
 fn chain<'e>(error: &'e (dyn Error + 'static)) -> impl Iterator<Item = &'e (dyn Error + 'static)> {
     std::iter::successors(Some(error), |&error| error.source())

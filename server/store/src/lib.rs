@@ -27,6 +27,6 @@ mod records;
 mod store;
 
 pub use collect::{Collected, Verified};
-pub use error::StoreError;
+pub use error::{StoreError, unless_damaged};
 pub use records::{AccessRecord, Manifest, ManifestEntry, Numbers, SessionRecord, Shared};
 pub use store::{Claim, Generation, Store};

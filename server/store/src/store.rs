@@ -11,7 +11,7 @@ use serde::{Serialize, de::DeserializeOwned};
 
 use crate::{
     backend::Backend,
-    error::StoreError,
+    error::{StoreError, unless_damaged},
     records::{AccessRecord, Manifest, SessionRecord, Shared, seal, seal_bytes, unseal, unseal_bytes},
 };
 
@@ -167,6 +167,18 @@ impl Store {
         self.latest(&format!("access/{tenant}/{setup}")).await
     }
 
+    /// The same, with the reason in place of a record that is damaged: so that it can be written anew.
+    ///
+    /// # Errors
+    /// If the store does not answer.
+    pub async fn access_or_damage(
+        &self,
+        tenant: &str,
+        setup: &str,
+    ) -> Result<Option<Generation<Result<AccessRecord, StoreError>>>, StoreError> {
+        self.latest_or_damage(&format!("access/{tenant}/{setup}")).await
+    }
+
     /// Writes the next generation of what a set-up is to a tenant; `false` if another did at the same time.
     ///
     /// # Errors
@@ -195,11 +207,13 @@ impl Store {
     /// What a set-up is to a tenant by another's will, if anything.
     ///
     /// # Errors
-    /// If the store does not answer or a record is damaged.
+    /// If the store does not answer.
     pub async fn granted(&self, tenant: &str, setup: &str) -> Result<Option<AccessRecord>, StoreError> {
         for grantee in [tenant, EVERYBODY] {
             for owner in self.backend.children(&format!("grant/{grantee}/{setup}")).await? {
-                let record = self.access(&owner, setup).await?.map(|generation| generation.record);
+                // What a damaged record allows nobody knows: nothing.
+                let found = unless_damaged(self.access(&owner, setup).await)?;
+                let record = found.map(|generation| generation.record);
                 if let Some(record) = record.filter(|record| record.owned)
                     && match &record.shared {
                         Shared::Private => false,
@@ -226,14 +240,14 @@ impl Store {
         Ok(names.into_iter().collect())
     }
 
-    /// All set-ups that a tenant owns.
+    /// All set-ups that a tenant owns, but for those whose record is damaged.
     ///
     /// # Errors
-    /// If the store does not answer or a record is damaged.
+    /// If the store does not answer.
     pub async fn owned(&self, tenant: &str) -> Result<Vec<(String, AccessRecord)>, StoreError> {
         let names = self.backend.children(&format!("access/{tenant}")).await?;
         let records = stream::iter(names).map(|setup| async move {
-            let latest = self.access(tenant, &setup).await?;
+            let latest = unless_damaged(self.access(tenant, &setup).await)?;
             Ok(latest.filter(|latest| latest.record.owned).map(|latest| (setup, latest.record)))
         });
         let records: Vec<Option<_>> = records.buffered(AT_ONCE).try_collect().await?;
@@ -344,12 +358,26 @@ impl Store {
     }
 
     async fn latest<T: DeserializeOwned>(&self, row: &str) -> Result<Option<Generation<T>>, StoreError> {
+        match self.latest_or_damage(row).await? {
+            Some(Generation { number, record }) => Ok(Some(Generation { number, record: record? })),
+            None => Ok(None),
+        }
+    }
+
+    async fn latest_or_damage<T: DeserializeOwned>(
+        &self,
+        row: &str,
+    ) -> Result<Option<Generation<Result<T, StoreError>>>, StoreError> {
         let names = self.backend.children(row).await?;
         if names.iter().any(|name| name == CLOSED) {
             return Ok(None);
         }
         let Some(number) = names.iter().filter_map(|name| name.parse().ok()).max() else { return Ok(None) };
-        let record = self.record(&numbered(row, number)).await?;
+        let record = match self.record(&numbered(row, number)).await {
+            Ok(record) => record.map(Ok),
+            Err(error @ StoreError::Corrupt { .. }) => Some(Err(error)),
+            Err(error) => return Err(error),
+        };
         Ok(record.map(|record| Generation { number, record }))
     }
 

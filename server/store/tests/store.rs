@@ -48,6 +48,17 @@ async fn folder() -> (tempfile::TempDir, Store) {
     (folder, store)
 }
 
+/// An empty place in the object store that tests may use, if there is one.
+fn remote() -> Option<String> {
+    match std::env::var("MOLDLINE_TEST_S3") {
+        Ok(place) => Some(format!("{place}/{}", uuid::Uuid::new_v4())),
+        Err(_) => {
+            eprintln!("not on an object store: MOLDLINE_TEST_S3 names none");
+            None
+        }
+    }
+}
+
 /// A set-up with all that can be stored of it.
 async fn filled(store: &Store) -> String {
     let id = store.put_setup(&files("content")).await.unwrap();
@@ -60,31 +71,40 @@ async fn filled(store: &Store) -> String {
 
 #[tokio::test]
 async fn what_is_stored_is_found_by_all_who_open_the_place() {
-    let (folder, store) = folder().await;
-    let id = filled(&store).await;
-    for store in [&store, &Store::open(folder.path().to_str().unwrap()).await.unwrap()] {
-        let found = store.setup(&id).await.unwrap().unwrap();
-        let found: Vec<(String, Vec<u8>)> =
-            found.into_iter().map(|(path, data)| (path, data.to_vec())).collect();
-        assert_eq!(found, files("content"));
-        assert_eq!(store.derived(&id, "build").await.unwrap().unwrap(), vec![7; 1000]);
-        assert_eq!(store.derived(&id, "another").await.unwrap(), None);
-        assert_eq!(store.session("a", "s").await.unwrap().unwrap().record, session(&id, 0.5));
-        assert_eq!(store.session("b", "s").await.unwrap(), None);
-        assert_eq!(store.granted("b", &id).await.unwrap().unwrap(), access(Shared::Public));
-        assert_eq!(store.claim("a", "request", "hash").await.unwrap(), Claim::Repeated);
-        assert_eq!(store.claim("a", "request", "other").await.unwrap(), Claim::Taken);
-        assert_eq!(store.claim("b", "request", "other").await.unwrap(), Claim::New);
-        assert_eq!(store.verify().await.unwrap().faults, []);
-        assert!(store.collect(Duration::ZERO, true).await.unwrap().objects.is_empty());
-        fs::remove_dir_all(folder.path().join("request/b")).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    let on_disk = folder.path().to_str().unwrap().to_owned();
+    for place in [Some(on_disk), remote()].into_iter().flatten() {
+        let store = Store::open(&place).await.unwrap();
+        let id = filled(&store).await;
+        is_all_there(&store, &id, "first").await;
+        is_all_there(&Store::open(&place).await.unwrap(), &id, "second").await;
     }
+}
+
+async fn is_all_there(store: &Store, id: &str, name: &str) {
+    let found = store.setup(id).await.unwrap().unwrap();
+    let found: Vec<(String, Vec<u8>)> = found.into_iter().map(|(path, data)| (path, data.to_vec())).collect();
+    assert_eq!(found, files("content"));
+    assert_eq!(store.derived(id, "build").await.unwrap().unwrap(), vec![7; 1000]);
+    assert_eq!(store.derived(id, "another").await.unwrap(), None);
+    assert_eq!(store.session("a", "s").await.unwrap().unwrap().record, session(id, 0.5));
+    assert_eq!(store.session("b", "s").await.unwrap(), None);
+    assert_eq!(store.granted("b", id).await.unwrap().unwrap(), access(Shared::Public));
+    assert_eq!(store.claim("a", "request", "hash").await.unwrap(), Claim::Repeated);
+    assert_eq!(store.claim("a", "request", "other").await.unwrap(), Claim::Taken);
+    assert_eq!(store.claim("b", name, "other").await.unwrap(), Claim::New);
+    assert_eq!(store.verify().await.unwrap().faults, []);
+    assert!(store.collect(Duration::ZERO, true).await.unwrap().objects.is_empty());
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn of_many_who_create_the_same_generation_one_wins() {
     let (_folder, on_disk) = folder().await;
-    for store in [Store::in_memory(), on_disk] {
+    let mut stores = vec![Store::in_memory(), on_disk];
+    if let Some(place) = remote() {
+        stores.push(Store::open(&place).await.unwrap());
+    }
+    for store in stores {
         for number in 1..=20 {
             let tries = (0..16).map(|k| {
                 let store = store.clone();
@@ -144,6 +164,10 @@ async fn flipped_bits_and_cut_files_are_found_and_named() {
             };
             let Err(StoreError::Corrupt { object, .. }) = error else { panic!("{name}: {error:?}") };
             assert_eq!(object, name);
+            if kind == "access" {
+                assert_eq!(store.granted("b", &id).await.unwrap(), None);
+                assert_eq!(store.owned("a").await.unwrap(), []);
+            }
         }
         fs::write(&path, whole).unwrap();
         kinds.insert(kind);
@@ -164,22 +188,31 @@ async fn flipped_bits_and_cut_files_are_found_and_named() {
 #[tokio::test]
 async fn a_collection_removes_what_nobody_can_reach_and_old_enough() {
     let (folder, store) = folder().await;
-    let id = filled(&store).await;
+    fs::create_dir(folder.path().join("blob")).unwrap();
+    fs::write(folder.path().join("blob").join("staged#1"), b"half").unwrap();
+    collects(&store, 3).await;
+    if let Some(place) = remote() {
+        collects(&Store::open(&place).await.unwrap(), 2).await;
+    }
+}
+
+/// `blobs`: that nobody can reach.
+async fn collects(store: &Store, blobs: usize) {
+    let id = filled(store).await;
     let other = store.put_setup(&files("of nobody")).await.unwrap();
     for number in 2..=4 {
         store.put_session("a", "s", number, &session(&id, 0.0)).await.unwrap();
     }
     store.put_session("a", "t", 1, &session(&other, 0.0)).await.unwrap();
     store.close_session("a", "t").await.unwrap();
-    fs::write(folder.path().join("blob").join("staged#1"), b"half").unwrap();
     assert!(store.collect(Duration::from_secs(60), false).await.unwrap().objects.is_empty(), "all is young");
     let planned = store.collect(Duration::ZERO, true).await.unwrap();
     assert!(store.setup(&other).await.unwrap().is_some(), "nothing was removed");
     let collected = store.collect(Duration::ZERO, false).await.unwrap();
     assert_eq!(collected, planned);
     let gone = |what: &str| collected.objects.iter().filter(|name| name.starts_with(what)).count();
-    assert_eq!((gone("blob/"), gone("setup/"), gone("session/a/t/"), gone("session/a/s/")), (3, 1, 2, 2));
-    assert_eq!(collected.objects.len(), 8);
+    assert_eq!((gone("blob/"), gone("setup/"), gone("session/a/t/"), gone("session/a/s/")), (blobs, 1, 2, 2));
+    assert_eq!(collected.objects.len(), blobs + 5);
     assert_eq!(store.setup(&other).await.unwrap(), None);
     assert!(store.setup(&id).await.unwrap().is_some());
     assert_eq!(store.session("a", "s").await.unwrap().unwrap().number, 4);
