@@ -18,7 +18,7 @@ use faer::{
 };
 use moldline_geometry::Block;
 use moldline_spline::Vector3;
-use pulp::Arch;
+use pulp::{Arch, NullaryFnOnce};
 use rayon::prelude::*;
 
 /// Radial function.
@@ -539,12 +539,10 @@ fn tiled(targets: &[Vector3], sources: &Cloud, weights: &[f64], rounding: f64, o
     if columns == 0 {
         return;
     }
-    let arch = Arch::new();
     let tiles = targets.par_chunks(TILE).zip(out.data_mut().par_chunks_mut(TILE * columns));
-    // The dispatch compiles the loops for the widest vectors that the processor has.
     if columns <= FEW {
         tiles.for_each(|(targets, out)| {
-            arch.dispatch(
+            wide(
                 #[inline(always)]
                 || match columns {
                     1 => few::<1>(targets, sources, weights, rounding, out),
@@ -559,7 +557,7 @@ fn tiled(targets: &[Vector3], sources: &Cloud, weights: &[f64], rounding: f64, o
             |panel, (targets, out)| {
                 for first in (0..sources.count).step_by(PANEL) {
                     let last = (first + PANEL).min(sources.count);
-                    arch.dispatch(
+                    wide(
                         #[inline(always)]
                         || kernel_panel(targets, sources, first..last, rounding, panel),
                     );
@@ -577,6 +575,23 @@ fn tiled(targets: &[Vector3], sources: &Cloud, weights: &[f64], rounding: f64, o
             },
         );
     }
+}
+
+/// Runs an operation marked `#[inline(always)]` with the widest vectors of the processor.
+///
+/// It is called through `FnMut`: the `call_once` of a closure is a function of its own, which is not inlined and gets no wide vectors.
+#[inline(always)]
+fn wide(operation: impl FnMut()) {
+    struct Wide<F>(F);
+    impl<F: FnMut()> NullaryFnOnce for Wide<F> {
+        type Output = ();
+
+        #[inline(always)]
+        fn call(mut self) {
+            (self.0)();
+        }
+    }
+    Arch::new().dispatch(Wide(operation));
 }
 
 /// Sums of one tile for up to [`FEW`] columns.
