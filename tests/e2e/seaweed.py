@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import signal
 import socket
 import subprocess
 import sys
@@ -21,7 +22,7 @@ from pathlib import Path
 from types import TracebackType
 
 #: Seconds that it may take to start.
-STARTING = 60
+STARTING = 120
 BUCKET = "moldline"
 
 
@@ -127,6 +128,8 @@ def main() -> int:
     if program() is None:
         print("SeaweedFS is not installed: what needs an object store is left out", file=sys.stderr)
         return subprocess.call(command)
+    # Whoever ends this ends SeaweedFS as well.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     with tempfile.TemporaryDirectory() as folder, SeaweedFS(Path(folder) / "objects") as objects:
         environment = {**os.environ, **objects.environment, "MOLDLINE_TEST_S3": objects.store}
         return subprocess.call(command, env=environment)

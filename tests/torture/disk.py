@@ -216,13 +216,16 @@ def damaged(trial: Trial) -> list[Row]:
     with bar("damage", total, "cases") as progress:
         for kind in KINDS:
             # The largest or the last of its kind.
-            of_kind = (path for path in candidates if path.parts[0] == kind)
-            name = max(of_kind, key=lambda path: ((store / path).stat().st_size, path))
-            path = store / name
-            intact = path.read_bytes()
-            half = len(intact) // 2
-            flipped = bytes([*intact[:half], intact[half] ^ 4, *intact[half + 1 :]])
-            for damage, content in (("a flipped bit", flipped), ("half of it missing", intact[:half])):
+            of_kind = (store / path for path in candidates if path.parts[0] == kind)
+            path = max(of_kind, key=lambda path: (path.stat().st_size, path))
+            for damage in ("a flipped bit", "half of it missing"):
+                # The last record of a row is the one that counts.
+                path = max(path.parent.iterdir()) if kind in ("access", "session") else path
+                name = path.relative_to(store)
+                intact = path.read_bytes()
+                half = len(intact) // 2
+                flipped = bytes([*intact[:half], intact[half] ^ 4, *intact[half + 1 :]])
+                content = flipped if damage == "a flipped bit" else intact[:half]
                 case = f"{kind}, {damage}"
                 path.write_bytes(content)
                 found = trial.verify(store)
