@@ -19,6 +19,10 @@ use crate::{
 /// A derivative along each direction, or the length of one.
 type Lanes = nalgebra::SVector<f64, LANES>;
 
+/// The least that a point counts as moving, of the largest motion: what rounding leaves of a point that does not move, some 1e-16 of the
+/// largest motion, is then no error.
+const LEAST: f64 = 1e-2;
+
 /// A number that is made of coordinates of points.
 #[derive(Clone, Copy)]
 pub struct Sum {
@@ -32,6 +36,7 @@ pub struct Sum {
 /// All scalar outputs of a deformed mesh, in the order of the set-up's.
 pub fn functions(setup: &Setup, vertices: &[Vector], bodies: &[DualBody<'_>]) -> Vec<Sum> {
     let outputs = setup.outputs();
+    let motion = Motion::of(vertices);
     let origin = constants(&outputs.origin());
     let position =
         |at: &moldline_deform::outputs::At| bodies[at.component].position(&At::fixed(&at.location));
@@ -40,7 +45,7 @@ pub fn functions(setup: &Setup, vertices: &[Vector], bodies: &[DualBody<'_>]) ->
         match item {
             Item::EnclosedVolume => {
                 let seen = |v: u32| vertices[v as usize] - origin;
-                let cone = |a, b, c| determinant(&[seen(a), seen(b), seen(c)]) * (1.0 / 6.0);
+                let cone = |a, b, c| motion.determinant(&[seen(a), seen(b), seen(c)]) * (1.0 / 6.0);
                 let cells = setup.mesh().cells.iter().map(|cell| match *cell.vertices() {
                     [a, b, c] => cone(a, b, c),
                     [a, b, c, d] => (cone(a, b, c) + cone(a, c, d) + cone(b, c, d) + cone(b, d, a)) * 0.5,
@@ -53,8 +58,8 @@ pub fn functions(setup: &Setup, vertices: &[Vector], bodies: &[DualBody<'_>]) ->
                 let owned = setup.mesh().cells.iter().zip(setup.cell_owner());
                 let cells =
                     owned.filter(|(_, owner)| *owner == component).map(|(cell, _)| match *cell.vertices() {
-                        [a, b, c] => area([at(a), at(b)], [at(a), at(c)]),
-                        [a, b, c, d] => area([at(a), at(c)], [at(b), at(d)]),
+                        [a, b, c] => motion.area([at(a), at(b)], [at(a), at(c)]),
+                        [a, b, c, d] => motion.area([at(a), at(c)], [at(b), at(d)]),
                         _ => Sum::zero(),
                     });
                 values.push(sum(cells));
@@ -64,13 +69,14 @@ pub fn functions(setup: &Setup, vertices: &[Vector], bodies: &[DualBody<'_>]) ->
                 let mut volume = Sum::zero();
                 quadrature(body.body, |weight, location| {
                     let (x, [d_u, d_v]) = body.point(&At::fixed(location));
-                    volume = volume + determinant(&[x - origin, d_u, d_v]) * (weight / 3.0);
+                    volume = volume + motion.determinant(&[x - origin, d_u, d_v]) * (weight / 3.0);
                 });
                 values.push(volume);
             }
             Item::Point(points) => {
                 for axis in 0..3 {
-                    values.push(sum(points.iter().map(|(at, w)| Sum::coordinate(&position(at), axis) * *w)));
+                    values
+                        .push(sum(points.iter().map(|(at, w)| motion.coordinate(&position(at), axis) * *w)));
                 }
             }
             Item::Planform(stations) => {
@@ -78,7 +84,7 @@ pub fn functions(setup: &Setup, vertices: &[Vector], bodies: &[DualBody<'_>]) ->
                     .iter()
                     .map(|station| {
                         let [leading, trailing] = station.each_ref().map(&position);
-                        let along = |axis| [&leading, &trailing].map(|x| Sum::coordinate(x, axis));
+                        let along = |axis| [&leading, &trailing].map(|x| motion.coordinate(x, axis));
                         let ([x_0, x_1], [y_0, y_1]) = (along(0), along(1));
                         [x_1 - x_0, (y_0 + y_1) * 0.5]
                     })
@@ -101,11 +107,6 @@ pub fn functions(setup: &Setup, vertices: &[Vector], bodies: &[DualBody<'_>]) ->
 impl Sum {
     fn zero() -> Self {
         Self { value: constant(0.0), terms: Lanes::zeros() }
-    }
-
-    /// Of a point, whose coordinates count alike: they change into each other as it turns.
-    fn coordinate(x: &Vector, axis: usize) -> Self {
-        Self { value: x[axis], terms: moved(x) }
     }
 }
 
@@ -155,27 +156,51 @@ fn sum(terms: impl Iterator<Item = Sum>) -> Sum {
     terms.fold(Sum::zero(), Add::add)
 }
 
-/// How far a point moves.
-fn moved(x: &Vector) -> Lanes {
+/// How far points move.
+struct Motion {
+    /// None counts as moving less.
+    least: Lanes,
+}
+
+impl Motion {
+    fn of(vertices: &[Vector]) -> Self {
+        let largest = vertices.iter().map(way).fold(Lanes::zeros(), |a, b| a.sup(&b));
+        Self { least: largest * LEAST }
+    }
+
+    fn moved(&self, x: &Vector) -> Lanes {
+        way(x).sup(&self.least)
+    }
+
+    /// Of a point, whose coordinates count alike: they change into each other as it turns.
+    fn coordinate(&self, x: &Vector, axis: usize) -> Sum {
+        Sum { value: x[axis], terms: self.moved(x) }
+    }
+
+    /// `a . (b x c)`.
+    fn determinant(&self, [a, b, c]: &[Vector; 3]) -> Sum {
+        let by = [b.cross(c), c.cross(a), a.cross(b)];
+        let terms = [a, b, c].into_iter().zip(&by).map(|(x, by)| self.moved(x) * size(by)).sum();
+        Sum { value: a.dot(&by[0]), terms }
+    }
+
+    /// Half the length of the cross product of the vectors between two pairs of points.
+    fn area(&self, first: [Vector; 2], second: [Vector; 2]) -> Sum {
+        let [e, f] = [&first, &second].map(|[p, q]| q - p);
+        let [by_e, by_f] = [&first, &second].map(|[p, q]| self.moved(p) + self.moved(q));
+        let twice = e.cross(&f);
+        if twice.iter().all(|x| x.re == 0.0) {
+            return Sum::zero();
+        }
+        Sum { value: length(&twice) * 0.5, terms: (by_e * size(&f) + by_f * size(&e)) * 0.5 }
+    }
+}
+
+/// The way of a point along each direction.
+fn way(x: &Vector) -> Lanes {
     Lanes::from_fn(|k, _| tangent(x, k).norm())
 }
 
-/// `a . (b x c)`.
-fn determinant([a, b, c]: &[Vector; 3]) -> Sum {
-    let by = [b.cross(c), c.cross(a), a.cross(b)];
-    let size = |x: &Vector| x.map(|x| x.re).norm();
-    let terms = [a, b, c].into_iter().zip(&by).map(|(x, by)| moved(x) * size(by)).sum();
-    Sum { value: a.dot(&by[0]), terms }
-}
-
-/// Half the length of the cross product of the vectors between two pairs of points.
-fn area(first: [Vector; 2], second: [Vector; 2]) -> Sum {
-    let ([e, f], [by_e, by_f]) =
-        ([&first, &second].map(|[p, q]| q - p), [&first, &second].map(|[p, q]| moved(p) + moved(q)));
-    let twice = e.cross(&f);
-    if twice.iter().all(|x| x.re == 0.0) {
-        return Sum::zero();
-    }
-    let size = |x: &Vector| x.map(|x| x.re).norm();
-    Sum { value: length(&twice) * 0.5, terms: (by_e * size(&f) + by_f * size(&e)) * 0.5 }
+fn size(x: &Vector) -> f64 {
+    x.map(|x| x.re).norm()
 }
