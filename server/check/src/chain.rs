@@ -301,12 +301,14 @@ impl Deformed<'_> {
                 (None, _) => Ok(point.position - self.bodies[component as usize].position(&At::fixed(from))),
             }
         };
-        setup.seams().vertices.par_iter().zip(seams).map(motion).collect()
+        let motions: Vec<Result<Vector, CheckError>> =
+            setup.seams().vertices.par_iter().zip(seams).map(motion).collect();
+        motions.into_iter().collect()
     }
 
     fn place(&self, displacements: &[Vector], seams: &[DualSeam]) -> Result<Vec<Placed>, CheckError> {
         let setup = self.setup;
-        let mut placed: Vec<Placed> = (0..displacements.len() as u32)
+        let placed: Vec<Result<Placed, CheckError>> = (0..displacements.len() as u32)
             .into_par_iter()
             .map(|v| {
                 let own = self.own(v);
@@ -317,7 +319,8 @@ impl Deformed<'_> {
                 let placed = self.place_vertex(v, own, &displacements[v as usize])?;
                 Ok(Placed { position: self.in_plane(v, placed.position), ..placed })
             })
-            .collect::<Result<_, CheckError>>()?;
+            .collect();
+        let mut placed: Vec<Placed> = placed.into_iter().collect::<Result<_, _>>()?;
         for (seam, point) in setup.seams().vertices.iter().zip(seams) {
             if !setup.is_stationary(seam.vertex) {
                 let position = self.in_plane(seam.vertex, point.position);
@@ -376,7 +379,7 @@ impl Deformed<'_> {
         let options = &self.setup.options().smoothing;
         let laplacian = Laplacian::uniform(topology, |v| !self.may_smooth(v));
         for _ in 0..options.rounds {
-            let next: Vec<Placed> = (0..placed.len() as u32)
+            let next: Vec<Result<Placed, CheckError>> = (0..placed.len() as u32)
                 .into_par_iter()
                 .map(|v| {
                     let here = placed[v as usize];
@@ -392,8 +395,10 @@ impl Deformed<'_> {
                     let foot = onto(body, v, own.freedom, &here.at.location(), &x)?;
                     Ok(Placed { position: self.in_plane(v, foot.position), at: foot.at })
                 })
-                .collect::<Result<_, CheckError>>()?;
-            placed.copy_from_slice(&next);
+                .collect();
+            for (vertex, next) in placed.iter_mut().zip(next) {
+                *vertex = next?;
+            }
         }
         Ok(())
     }

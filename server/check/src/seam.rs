@@ -67,7 +67,7 @@ impl DualSeams<'_> {
                 SeamSearch::Line(_) => None,
             })
             .collect();
-        let lines: Vec<Option<DualSeam>> = self
+        let lines: Vec<Result<Option<DualSeam>, CheckError>> = self
             .solver
             .vertices
             .par_iter()
@@ -76,9 +76,10 @@ impl DualSeams<'_> {
                 SeamSearch::Line(line) => self.line(v, line, found, &junctions).map(Some),
                 SeamSearch::Junction(_) => Ok(None),
             })
-            .collect::<Result<_, _>>()?;
+            .collect();
         // Every vertex has exactly one of the two.
-        Ok(lines.into_iter().zip(junctions).filter_map(|(line, junction)| line.or(junction)).collect())
+        let found = lines.into_iter().zip(junctions).map(|(line, junction)| Ok(line?.or(junction)));
+        found.filter_map(Result::transpose).collect()
     }
 
     fn line(

@@ -159,7 +159,8 @@ fn row_lines(
         .collect();
     let worst = |k: usize| table.iter().map(|t| t[k]).fold(f64::INFINITY, f64::min);
     let best_of_row = (0..choices.len()).fold(0, |best, k| if worst(k) > worst(best) { k } else { best });
-    row.par_iter()
+    let lines: Vec<Result<(SeamLine, f64), SetupError>> = row
+        .par_iter()
         .zip(&table)
         .map(|(&vertex, scores)| {
             let own_best =
@@ -195,7 +196,9 @@ fn row_lines(
             })?;
             Ok((line, scores[k]))
         })
-        .collect()
+        .collect();
+    // In order, so that the fault named is the first one whatever the threads do.
+    lines.into_iter().collect()
 }
 
 /// `|n_t . S_a| / |S_a|`, the sine between the line and the target's surface; negative if the line would leave a sharp

@@ -297,14 +297,14 @@ impl Blocks {
     fn new(matrix: &Matrix, centres: &[Vector3]) -> Result<Self, PanelError> {
         let mut members = Vec::new();
         bisect((0..centres.len() as u32).collect(), centres, BLOCK, &mut members);
-        let factors: Result<Vec<_>, PanelError> = members
+        let factors: Vec<Result<Factor<_>, PanelError>> = members
             .par_iter()
             .map(|m| {
                 let block = Mat::from_fn(m.len(), m.len(), |i, j| matrix.get(m[i] as usize, m[j] as usize));
                 Factor::new(block, |_| true)
             })
             .collect();
-        Ok(Self { members, factors: factors? })
+        Ok(Self { members, factors: factors.into_iter().collect::<Result<_, _>>()? })
     }
 
     fn solve(&self, b: &[f64], transposed: bool) -> Vec<f64> {
