@@ -10,6 +10,7 @@
 //! refined with residuals from such sums (module `cubic`).
 
 mod cubic;
+mod triangular;
 
 use faer::{
     Accum, Mat, MatMut, MatRef, Par, Spec,
@@ -20,6 +21,8 @@ use moldline_geometry::Block;
 use moldline_spline::Vector3;
 use pulp::{Arch, NullaryFnOnce};
 use rayon::prelude::*;
+
+use triangular::Tiles;
 
 /// Radial function.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -54,7 +57,7 @@ const LANES: usize = 8;
 const TILE: usize = 128;
 /// Centres whose kernel values are formed at once when there are many columns.
 const PANEL: usize = 256;
-/// Columns up to which kernel values are formed and used in registers.
+/// Columns up to which kernel values are formed and used in registers, and triangular systems are solved row by row.
 const FEW: usize = 3;
 /// Columns solved by one task.
 const COLUMNS: usize = 16;
@@ -450,15 +453,7 @@ impl RadialBasis {
                 column[i] -= (0..AFFINE).map(|k| self.top[(k, i)] * first[k]).sum::<f64>();
             }
         }
-        let width = data.ncols();
-        let mut memory =
-            MemBuffer::new(llt::solve::solve_in_place_scratch::<f64>(count - AFFINE, width, Par::Seq));
-        llt::solve::solve_in_place(
-            self.factor.as_ref(),
-            data.get_mut(AFFINE.., ..),
-            Par::Seq,
-            MemStack::new(&mut memory),
-        );
+        self.solve_factor(data);
         for (column, affine) in affine.iter_mut().enumerate() {
             let column = data.col_as_slice(column);
             for k in (0..AFFINE).rev() {
@@ -469,6 +464,27 @@ impl RadialBasis {
         }
         reflect_rows(data, &self.reflectors, true);
         affine
+    }
+
+    /// Solves with the Cholesky factor, for rows beyond the first four.
+    fn solve_factor(&self, data: &mut Mat<f64>) {
+        let (size, width) = (self.factor.nrows(), data.ncols());
+        if width <= FEW {
+            let mut tiles = Tiles::zeros(size, width);
+            for column in 0..width {
+                let data = &data.col_as_slice(column)[AFFINE..];
+                data.iter().enumerate().for_each(|(row, x)| *tiles.get_mut(row, column) = *x);
+            }
+            triangular::solve(&self.factor, &mut tiles);
+            for column in 0..width {
+                let data = &mut data.col_as_slice_mut(column)[AFFINE..];
+                data.iter_mut().enumerate().for_each(|(row, x)| *x = *tiles.get_mut(row, column));
+            }
+            return;
+        }
+        let mut memory = MemBuffer::new(llt::solve::solve_in_place_scratch::<f64>(size, width, Par::Seq));
+        let rows = data.get_mut(AFFINE.., ..);
+        llt::solve::solve_in_place(self.factor.as_ref(), rows, Par::Seq, MemStack::new(&mut memory));
     }
 
     /// The fields at `points` (metres), one row a point. In parallel over tiles of points; each value is summed in one

@@ -409,9 +409,8 @@ impl<const N: usize> WithSimd for Radial<'_, N> {
                     let [w_1, w_2, w] = &sources[j].weights;
                     for c in 0..N {
                         exact[c] = simd.mul_add_f64s(first, simd.splat_f64s(w_1[c]), exact[c]);
-                        let small = simd.mul_f64s(first, simd.splat_f64s(w_2[c]));
-                        let small = simd.mul_add_f64s(second, simd.splat_f64s(w[c]), small);
-                        rest[c] = simd.add_f64s(rest[c], small);
+                        rest[c] = simd.mul_add_f64s(first, simd.splat_f64s(w_2[c]), rest[c]);
+                        rest[c] = simd.mul_add_f64s(second, simd.splat_f64s(w[c]), rest[c]);
                     }
                 });
                 for c in 0..N {
