@@ -1,6 +1,11 @@
 //! Benchmarks of what the goals name, with their peers.
 
-use std::{fs, path::PathBuf, process::Stdio};
+use std::{
+    cmp::Ordering,
+    fs,
+    path::PathBuf,
+    process::{Command, Stdio},
+};
 
 use serde_json::{Value, json};
 
@@ -10,29 +15,35 @@ use crate::{
     python::Python,
 };
 
+/// Turns that the two sides of a comparison take.
+const ROUNDS: usize = 3;
+
 /// Runs the Rust side, scipy on the same data, and the round trips through server and client; writes `out/bench.json`.
 pub fn bench(large: bool, large_folder: Option<PathBuf>) -> Outcome {
     let python = Python::ready()?;
     let data = root().join("out/bench");
-    let mut goals = cargo();
-    goals.args(["bench", "--locked", "--workspace", "--bench", "goals"]);
-    goals.env("MOLDLINE_BENCH_DATA", &data);
-    if large {
-        goals.env("MOLDLINE_BENCH_LARGE", large_mesh(&python, large_folder)?);
-    }
     eprintln!("\n==> benchmarks");
-    let mut rows = json_lines(&mut goals)?;
-    let mut scipy = python.script("examples/bench/rbf.py");
-    let answers = json_lines(scipy.arg(&data))?;
-    let answer = answers.last().ok_or("scipy's side printed nothing")?;
-    let peer = answer["milliseconds"].as_f64().ok_or("scipy's side gave no time")?;
+    // A machine's speed changes: both sides of a comparison take turns.
+    let (mut rounds, mut peers) = (Vec::new(), Vec::new());
+    for _ in 0..ROUNDS {
+        rounds.push(json_lines(goals("interpolation").env("MOLDLINE_BENCH_DATA", &data))?);
+        let answers = json_lines(python.script("examples/bench/rbf.py").arg(&data))?;
+        peers.push(answers.last().ok_or("scipy's side printed nothing")?.clone());
+    }
+    let answer = median(peers, "milliseconds").ok_or("scipy's side gave no time")?;
+    let mut rows: Vec<Value> = (0..rounds[0].len())
+        .filter_map(|row| {
+            median(rounds.iter().filter_map(|round| round.get(row).cloned()).collect(), "value")
+        })
+        .collect();
+    let peer = answer["milliseconds"].as_f64();
 
     let mut speeds = Vec::new();
     for row in &mut rows {
         let name = row["name"].as_str().unwrap_or_default().to_owned();
         if name.contains("solve and evaluate") {
             row["peer"] = json!({ "name": "scipy RBFInterpolator, evaluation alone", "value": peer });
-            let ratio = peer / row["value"].as_f64().unwrap_or(f64::NAN);
+            let ratio = peer.zip(row["value"].as_f64()).map(|(peer, own)| peer / own);
             let name = name.replace("solve and evaluate", "times as fast as scipy");
             speeds.push(json!({ "name": name, "value": ratio, "unit": "1", "goal": ">= 5" }));
         }
@@ -41,6 +52,11 @@ pub fn bench(large: bool, large_folder: Option<PathBuf>) -> Outcome {
     rows.push(json!({
         "name": "cubic RBF, largest difference from scipy", "value": answer["difference"], "unit": "1", "goal": "<= 1e-10",
     }));
+    let mut engine = goals("engine");
+    if large {
+        engine.env("MOLDLINE_BENCH_LARGE", large_mesh(&python, large_folder)?);
+    }
+    rows.append(&mut json_lines(&mut engine)?);
     let binary = build_moldline(true)?;
     rows.append(&mut json_lines(python.script("examples/bench/round_trip.py").arg("--binary").arg(binary))?);
 
@@ -66,6 +82,21 @@ pub fn bench(large: bool, large_folder: Option<PathBuf>) -> Outcome {
     Ok(())
 }
 
+/// The benchmark of the engine, one part of it.
+fn goals(part: &str) -> Command {
+    let mut goals = cargo();
+    goals.args(["bench", "--locked", "--workspace", "--bench", "goals", "--", part]);
+    goals
+}
+
+/// The object whose number is in the middle.
+fn median(mut objects: Vec<Value>, key: &str) -> Option<Value> {
+    let number = |object: &Value| object[key].as_f64();
+    objects.retain(|object| number(object).is_some());
+    objects.sort_by(|a, b| number(a).partial_cmp(&number(b)).unwrap_or(Ordering::Equal));
+    objects.get(objects.len() / 2).cloned()
+}
+
 /// Whether a goal that is a number is reached; `None` for one that is not.
 fn reached(row: &Value) -> Option<bool> {
     let goal = row["goal"].as_str()?;
@@ -83,7 +114,7 @@ fn reached(row: &Value) -> Option<bool> {
 }
 
 /// Runs a program, showing what it says, and collects the lines that are JSON objects.
-fn json_lines(command: &mut std::process::Command) -> Outcome<Vec<Value>> {
+fn json_lines(command: &mut Command) -> Outcome<Vec<Value>> {
     let program = command.get_program().to_string_lossy().into_owned();
     let output = command
         .stderr(Stdio::inherit())

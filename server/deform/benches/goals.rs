@@ -1,8 +1,8 @@
 //! The numbers that Moldline promises, measured on the E175: `cargo xtask bench` runs this and compares.
 //!
-//! One JSON object a line goes to standard output: name, value, unit, goal. The data of the interpolation goes to the
-//! folder named by `MOLDLINE_BENCH_DATA`, for scipy to do the same. `MOLDLINE_BENCH_LARGE` names the folder of
-//! a finer mesh.
+//! One JSON object a line goes to standard output: name, value, unit, goal. An argument, `interpolation` or `engine`, is the part to
+//! run; without it both are. The data of the interpolation goes to the folder named by `MOLDLINE_BENCH_DATA`, for scipy to
+//! do the same. `MOLDLINE_BENCH_LARGE` names the folder of a finer mesh.
 
 use std::{
     env, fs,
@@ -30,12 +30,23 @@ const CORNERS: [(f64, f64); 4] = [(5.0, 10.0), (5.0, -10.0), (-5.0, -10.0), (-5.
 fn main() -> Result<(), Failure> {
     let e175 = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples/e175");
     let files = read_folder(&e175.join(SETUP_FILE), &Limits::default())?.0;
-    let input = parse(&files)?;
+    let part = env::args().skip(1).find(|argument| !argument.starts_with('-'));
+    let wanted = |name: &str| part.as_deref().is_none_or(|part| part == name);
+    if wanted("interpolation") {
+        interpolation(&parse(&files)?)?;
+    }
+    if wanted("engine") {
+        engine(&e175, &files)?;
+    }
+    Ok(())
+}
+
+fn engine(e175: &Path, files: &Files) -> Result<(), Failure> {
+    let input = parse(files)?;
     closest_points(&input)?;
-    interpolation(&input)?;
 
     let (setup, seconds) = median_of(3, || {
-        let input = parse(&files)?;
+        let input = parse(files)?;
         Ok(Setup::build(input, &Silent)?)
     })?;
     let training: usize = setup.report().fields.iter().map(|field| field.training_vertices).sum();
@@ -50,7 +61,7 @@ fn main() -> Result<(), Failure> {
     threads_do_not_matter("smooth", &smooth)?;
 
     // With the 45 variables of Table 2.
-    let table2 = read_setup(&read_folder(&e175, &Limits::default())?.0, None, &Limits::default())?.input;
+    let table2 = read_setup(&read_folder(e175, &Limits::default())?.0, None, &Limits::default())?.input;
     for (name, input) in [("sharp", table2.clone()), ("smooth", smoothed(table2))] {
         differentiating(name, &Arc::new(Setup::build(input, &Silent)?))?;
     }
