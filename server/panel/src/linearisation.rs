@@ -399,7 +399,7 @@ impl Linearisation {
 }
 
 impl<const B: usize> State<B> {
-    fn strengths(&self) -> Strengths<'_, B> {
+    pub(crate) fn strengths(&self) -> Strengths<'_, B> {
         Strengths {
             doublets: std::array::from_fn(|k| &self.mu[k][..]),
             circulations: std::array::from_fn(|k| &self.circulations[k][..]),
