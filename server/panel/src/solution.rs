@@ -98,7 +98,7 @@ pub struct Analysis {
     pub components: Vec<Loads>,
     /// Loads along the trailing edges of the solved half.
     pub sections: Vec<Section>,
-    /// Pressure coefficient of every cell.
+    /// Pressure coefficient of every cell: the mean over it.
     pub cp: Vec<f64>,
     /// Pressure coefficient at every vertex: the mean of its cells.
     pub vertex_cp: Vec<f64>,
