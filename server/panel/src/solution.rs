@@ -87,7 +87,7 @@ pub struct Analysis {
     /// Coefficients of the whole, with slopes.
     pub scalars: Scalars,
     /// Lift coefficient of the wakes: the part of the circulation's lift that acts on them and not on the body, because they are straight and
-    /// the flow crosses them ([`crate::wake_force`]). Without derivatives.
+    /// the flow crosses them. Without derivatives.
     pub wake_lift: f64,
     /// Lift from the pressure and on the wakes over the lift that momentum demands for the circulation, less one. Zero without lift. It
     /// vanishes as the mesh is refined, and so measures the discretisation.

@@ -88,7 +88,7 @@ fn evaluate(
     let is_trailing = |e: [u32; 2]| trailing.iter().any(|t| *t == e || [t[1], t[0]] == e);
 
     // Gradient of each cell as weights on potentials; and of the fit it comes from the ways u / |d| to neighbours and their weights.
-    let (gradient, fits): (Vec<Vec<(usize, V)>>, Vec<Vec<(usize, V, V)>>) = (0..n)
+    let (gradient, fits): (Vec<Vec<(usize, V)>>, Vec<_>) = (0..n)
         .map(|i| {
             let mut m = [[real(0.0); 3]; 3];
             let mut arms = Vec::new();
