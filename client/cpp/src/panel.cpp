@@ -106,6 +106,7 @@ Analysis analysis(const v1::Analysis& answer, const v1::FlowAnalysis& flow, cons
   const v1::FlowCoefficients& c = flow.coefficients();
   analysis.coefficients = {c.lift(),       c.induced_drag(), c.pressure_lift(),       c.pressure_drag(), c.moment(),
                            c.lift_slope(), c.moment_slope(), c.pressure_lift_slope(), c.neutral_point()};
+  analysis.wake_lift = flow.wake_lift();
   analysis.disagreement = flow.disagreement();
   analysis.total = loads(flow.total());
   for (const auto& each : flow.components()) analysis.components.emplace(each.name(), loads(each));

@@ -10,22 +10,31 @@ use moldline_panel::{
     Flow, Inputs, Monitor, Options, Outputs, PanelSetup, Reference, Scalars, Solver, Stage, TrailingEdges,
 };
 
-/// Prints how long each stage takes.
-struct Clock(Mutex<Option<(Stage, Times)>>);
+/// Prints how long each stage takes, and what of the assembly falls to a pair: a collocation point and a panel, doublet and source, both
+/// images.
+struct Clock {
+    last: Mutex<Option<(Stage, Times)>>,
+    pairs: f64,
+}
 
 impl Clock {
-    fn new() -> Self {
-        Self(Mutex::new(None))
+    fn new(unknowns: usize) -> Self {
+        Self { last: Mutex::new(None), pairs: (unknowns as f64).powi(2) }
     }
 }
 
 impl Monitor for Clock {
     fn progress(&self, stage: Stage, fraction: f64) {
-        let Ok(mut last) = self.0.lock() else { return };
+        let Ok(mut last) = self.last.lock() else { return };
         match *last {
             Some((current, start)) if current == stage => {
                 if fraction >= 1.0 {
-                    println!("    {stage:<14} {}", start.since());
+                    let [wall, processor] = start.since();
+                    println!("    {stage:<14} {}", seconds([wall, processor]));
+                    if stage == Stage::Influence {
+                        let [wall, processor] = [wall, processor].map(|t| 1e9 * t / self.pairs);
+                        println!("    {:<14} {wall:7.2} ns, processor {processor:7.2} ns", "  a pair");
+                    }
                     *last = None;
                 }
             }
@@ -48,11 +57,14 @@ impl Times {
         Self(Instant::now(), (ticks(11) + ticks(12)) / 100.0)
     }
 
-    fn since(self) -> String {
+    fn since(self) -> [f64; 2] {
         let now = Self::now();
-        let wall = (now.0 - self.0).as_secs_f64();
-        format!("{wall:7.2} s, processor {:7.2} s", now.1 - self.1)
+        [(now.0 - self.0).as_secs_f64(), now.1 - self.1]
     }
+}
+
+fn seconds([wall, processor]: [f64; 2]) -> String {
+    format!("{wall:7.2} s, processor {processor:7.2} s")
 }
 
 /// Peak of the resident memory, MB.
@@ -78,15 +90,18 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let summary = setup.summary();
         println!("{solver:?}: {} unknowns, {} MB", summary.unknowns, summary.memory >> 20);
         let start = Times::now();
-        let solution = Arc::new(setup.solve(&mesh.vertices, 0.7, &Clock::new())?);
+        let solution = Arc::new(setup.solve(&mesh.vertices, 0.7, &Clock::new(summary.unknowns))?);
         for degrees in [0.0, 3.0] {
             let a = solution.analyse(&flow(degrees))?;
-            println!("  alpha {degrees}: {:?}, disagreement {:.4}", a.scalars, a.disagreement);
+            println!(
+                "  alpha {degrees}: {:?}, on the wake {:.5}, disagreement {:.4}",
+                a.scalars, a.wake_lift, a.disagreement
+            );
             for c in &a.components {
                 println!("    {:<10} CL {:8.5} CD {:8.5} CM {:8.5}", c.name, c.lift, c.drag, c.moment[1]);
             }
         }
-        println!("  solution with forces {}", start.since());
+        println!("  solution with forces {}", seconds(start.since()));
         let linearisation = solution.linearise(&flow(3.0))?;
         let seed = |i: usize| {
             let mut values = [0.0; Scalars::COUNT];
@@ -95,14 +110,14 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         };
         for count in [1, 6] {
             let start = Times::now();
-            linearisation.vjp(&(0..count).map(seed).collect::<Vec<_>>(), &Clock::new())?;
-            println!("  {count} adjoints {}", start.since());
+            linearisation.vjp(&(0..count).map(seed).collect::<Vec<_>>(), &Clock::new(summary.unknowns))?;
+            println!("  {count} adjoints {}", seconds(start.since()));
         }
         let direction = Inputs { vertices: mesh.vertices.clone(), ..Inputs::default() };
         for count in [1, 8] {
             let start = Times::now();
-            linearisation.jvp(&vec![direction.clone(); count], &Clock::new())?;
-            println!("  {count} directions {}", start.since());
+            linearisation.jvp(&vec![direction.clone(); count], &Clock::new(summary.unknowns))?;
+            println!("  {count} directions {}", seconds(start.since()));
         }
         println!("  {}", peak());
     }

@@ -7,6 +7,8 @@
 //! ```text
 //! y = M^-1 sum u (mu' - mu) / |d|,   gradient = y - n (n . y)
 //! ```
+//!
+//! What the fit leaves, `(mu' - mu) / |d| - u . y`, is how much the gradient changes from the centre to the edge.
 
 use moldline_mesh::Vector3;
 use nalgebra::Matrix3;
@@ -84,6 +86,13 @@ struct Arm {
     by_length: f64,
 }
 
+/// A gradient, what its fit leaves at every neighbour, or changes or seeds of both.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Slope {
+    pub gradient: Vector3,
+    pub residuals: [f64; 4],
+}
+
 /// The stencils' geometry of a surface.
 pub(crate) struct Gradients<'a> {
     panels: &'a Panels,
@@ -157,10 +166,15 @@ impl<'a> Gradients<'a> {
     }
 
     /// The gradient on a panel, in stretched coordinates.
-    pub fn eval(&self, panel: usize, mu: &[f64], circulation: &[f64]) -> Vector3 {
+    pub fn eval(&self, panel: usize, mu: &[f64], circulation: &[f64]) -> Slope {
         let n = &self.surface.normals[panel];
         let y = self.solved(panel, mu, circulation);
-        y - n * n.dot(&y)
+        let mut residuals = [0.0; 4];
+        for (residual, neighbour) in residuals.iter_mut().zip(&self.stencils.neighbours[panel]) {
+            let arm = self.arm(panel, neighbour);
+            *residual = arm.by_length * Self::difference(neighbour, panel, mu, circulation) - arm.u.dot(&y);
+        }
+        Slope { gradient: y - n * n.dot(&y), residuals }
     }
 
     /// Its parts by the potentials of the panels, without jumps: for the circulation at trailing edges.
@@ -186,11 +200,13 @@ impl<'a> Gradients<'a> {
         [mu, circulation]: [&[f64]; 2],
         surface: &SurfaceChange,
         [d_mu, d_circulation]: [&[f64]; 2],
-    ) -> Vector3 {
+    ) -> Slope {
         let (n, dn) = (&self.surface.normals[panel], &surface.normals[panel]);
         let y = self.solved(panel, mu, circulation);
         let mut dr = -(dn * n.dot(&y) + n * dn.dot(&y));
-        for neighbour in &self.stencils.neighbours[panel] {
+        // Of the residuals at fixed y, and the directions that y counts along.
+        let (mut residuals, mut ways) = ([0.0; 4], [Vector3::zeros(); 4]);
+        for (i, neighbour) in self.stencils.neighbours[panel].iter().enumerate() {
             let way = self.unfold(panel, neighbour);
             let dd = self.unfold_jvp(panel, neighbour, &way, surface);
             let by_length = 1.0 / way.d.norm();
@@ -199,12 +215,15 @@ impl<'a> Gradients<'a> {
             let d_by_length = -by_length * by_length * u.dot(&dd);
             let difference = Self::difference(neighbour, panel, mu, circulation);
             let change = Self::difference(neighbour, panel, d_mu, d_circulation);
-            dr += du * (by_length * difference) + u * (d_by_length * difference + by_length * change)
-                - du * u.dot(&y)
-                - u * du.dot(&y);
+            let d_rate = d_by_length * difference + by_length * change;
+            dr += du * (by_length * difference) + u * d_rate - du * u.dot(&y) - u * du.dot(&y);
+            (residuals[i], ways[i]) = (d_rate - du.dot(&y), u);
         }
         let dy = self.inverses[panel] * dr;
-        dy - dn * n.dot(&y) - n * (dn.dot(&y) + n.dot(&dy))
+        for (residual, u) in residuals.iter_mut().zip(&ways) {
+            *residual -= u.dot(&dy);
+        }
+        Slope { gradient: dy - dn * n.dot(&y) - n * (dn.dot(&y) + n.dot(&dy)), residuals }
     }
 
     fn unfold_jvp(
@@ -247,28 +266,33 @@ impl<'a> Gradients<'a> {
         &self,
         panel: usize,
         [mu, circulation]: [&[f64]; 2],
-        seed: &Vector3,
+        seed: &Slope,
         surface: &mut SurfaceChange,
         [mu_seeds, circulation_seeds]: [&mut [f64]; 2],
     ) {
         let n = &self.surface.normals[panel];
         let y = self.solved(panel, mu, circulation);
-        let of_y = seed - n * n.dot(seed);
+        let Slope { gradient: seed, residuals } = seed;
+        let mut of_y = seed - n * n.dot(seed);
+        for (neighbour, residual) in self.stencils.neighbours[panel].iter().zip(residuals) {
+            of_y -= *residual * self.arm(panel, neighbour).u;
+        }
         let z = self.inverses[panel] * of_y;
         surface.normals[panel] -= seed * n.dot(&y) + y * n.dot(seed) + z * n.dot(&y) + y * n.dot(&z);
-        for neighbour in &self.stencils.neighbours[panel] {
+        for (neighbour, residual) in self.stencils.neighbours[panel].iter().zip(residuals) {
             let way = self.unfold(panel, neighbour);
             let by_length = 1.0 / way.d.norm();
             let u = way.d * by_length;
             let difference = Self::difference(neighbour, panel, mu, circulation);
-            let of_change = by_length * u.dot(&z);
+            let of_rate = u.dot(&z) + residual;
+            let of_change = by_length * of_rate;
             mu_seeds[neighbour.panel as usize] += of_change;
             mu_seeds[panel] -= of_change;
             if let Some((strip, sign)) = neighbour.jump {
                 circulation_seeds[strip as usize] += sign * of_change;
             }
-            let of_u = z * (by_length * difference - u.dot(&y)) - y * u.dot(&z);
-            let of_by_length = difference * u.dot(&z);
+            let of_u = z * (by_length * difference - u.dot(&y)) - y * of_rate;
+            let of_by_length = difference * of_rate;
             let of_d = (of_u - u * u.dot(&of_u)) * by_length - u * (by_length * by_length * of_by_length);
             self.unfold_vjp(panel, neighbour, &way, &of_d, surface);
         }

@@ -4,7 +4,7 @@
 use moldline_mesh::Vector3;
 
 use crate::{
-    gradient::Gradients,
+    gradient::{Gradients, Slope},
     surface::{Surface, SurfaceChange},
     wake::Wakes,
 };
@@ -44,8 +44,8 @@ impl Kutta<'_> {
         let edge = &self.wakes.strips[strip];
         let middle = 0.5 * (surface.points[edge.a as usize] + surface.points[edge.b as usize]);
         let change = |(panel, sign, way): (usize, f64, Vector3)| {
-            let g = self.gradients.eval(panel, mu, &[]);
-            let dg = self.gradients.jvp(panel, [mu, &[]], surface, [d_mu, &[]]);
+            let g = self.gradients.eval(panel, mu, &[]).gradient;
+            let dg = self.gradients.jvp(panel, [mu, &[]], surface, [d_mu, &[]]).gradient;
             sign * (d_mu[panel] + dg.dot(&way) + g.dot(&(middle - surface.centres[panel])))
         };
         self.sides(strip).into_iter().map(change).sum()
@@ -64,8 +64,9 @@ impl Kutta<'_> {
         for (panel, sign, way) in self.sides(strip) {
             let seed = sign * seed;
             mu_seeds[panel] += seed;
-            let g = self.gradients.eval(panel, mu, &[]);
-            self.gradients.vjp(panel, [mu, &[]], &(seed * way), surface, [mu_seeds, &mut []]);
+            let g = self.gradients.eval(panel, mu, &[]).gradient;
+            let of_slope = Slope { gradient: seed * way, ..Slope::default() };
+            self.gradients.vjp(panel, [mu, &[]], &of_slope, surface, [mu_seeds, &mut []]);
             surface.points[edge.a as usize] += 0.5 * seed * g;
             surface.points[edge.b as usize] += 0.5 * seed * g;
             surface.centres[panel] -= seed * g;

@@ -6,7 +6,8 @@
 //!
 //! Unknown is the perturbation potential on the outside, one number a cell, from the condition that it vanishes inside (Morino and Kuo,
 //! AIAA J. 12, 1974). In the order of the data: [`surface`] (Goethert's rule, geometry of the panels), [`gradient`],
-//! [`kutta`], [`influence`], [`system`], [`pressure`], [`trefftz`], [`wind`].
+//! [`kutta`], [`influence`], [`system`], [`pressure`], [`trefftz`],
+//! [`wake_force`], [`wind`].
 //!
 //! Axes: x aft, y starboard, z up. Parallel loops run on rayon's current pool. Results are the same to the last bit whatever its
 //! size.
@@ -35,6 +36,7 @@ mod system;
 mod topology;
 mod trefftz;
 mod wake;
+mod wake_force;
 mod wind;
 
 pub use error::PanelError;

@@ -9,7 +9,7 @@ use moldline_mesh::Vector3;
 
 use crate::{
     Flow, Monitor, PanelError, Scalars, Solution,
-    gradient::Gradients,
+    gradient::{Gradients, Slope},
     influence::{Influence, PairChange, Strengths},
     kutta::Kutta,
     pressure::Form,
@@ -214,7 +214,7 @@ impl Linearisation {
             let d_circulations: [Vec<f64>; B] = std::array::from_fn(|k| {
                 (0..strips).map(|s| kutta.jvp(s, &state.mu[k], change, &d_mu[k])).collect()
             });
-            let slopes: [Vec<Vector3>; B] = std::array::from_fn(|k| {
+            let slopes: [Vec<Slope>; B] = std::array::from_fn(|k| {
                 let (values, changes) =
                     ([&state.mu[k][..], &state.circulations[k]], [&d_mu[k][..], &d_circulations[k]]);
                 (0..panels.len()).map(|p| gradients.jvp(p, values, change, changes)).collect()
@@ -399,7 +399,7 @@ impl Linearisation {
 }
 
 impl<const B: usize> State<B> {
-    fn strengths(&self) -> Strengths<'_, B> {
+    pub(crate) fn strengths(&self) -> Strengths<'_, B> {
         Strengths {
             doublets: std::array::from_fn(|k| &self.mu[k][..]),
             circulations: std::array::from_fn(|k| &self.circulations[k][..]),

@@ -4,18 +4,25 @@
 //! along axis k. Bernoulli's equation there, transformed back by Goethert's rule:
 //!
 //! ```text
-//! Cp = sum_kl w_k w_l C_kl,   C_kl = o_k . o_l - u_k . u_l
+//! Cp = sum_kl w_k w_l C_kl,   C_kl = o_k . o_l - u_k . u_l - (1/6) sum_i r_ik r_il
 //! ```
+//!
+//! It is the mean over a panel, on which the velocity changes linearly: by r_i from the centre to its edges, which is what the gradient's
+//! fit leaves ([`crate::gradient`]). Two opposite edges with +r and -r make a mean square of r^2 / 3.
 //!
 //! At Mach zero it is Bernoulli's equation; else it is `-2 u - (B^2 u^2 + v^2 + w^2)` of the perturbations in the wind's axes.
 
 use moldline_mesh::Vector3;
 
 use crate::{
+    gradient::Slope,
     surface::{Surface, SurfaceChange},
     topology::Panels,
     wind::Totals,
 };
+
+/// What the square of the velocity's change towards an edge adds to the mean square.
+const SPREAD: f64 = 1.0 / 6.0;
 
 /// The area vector in real coordinates, and its transpose.
 fn real_area(beta: f64, area: &Vector3) -> Vector3 {
@@ -28,24 +35,30 @@ pub(crate) type Form<const B: usize> = [[f64; B]; B];
 /// Surface velocities and pressure forms of all panels.
 #[derive(Clone, Debug)]
 pub(crate) struct Pressure<const B: usize> {
-    pub velocities: [Vec<Vector3>; B],
+    /// Velocities at the centres, and how much they change towards the edges.
+    pub velocities: [Vec<Slope>; B],
     pub forms: Vec<Form<B>>,
+}
+
+/// Mean of the product of two velocities over a panel.
+fn mean_product(u: &Slope, v: &Slope) -> f64 {
+    u.gradient.dot(&v.gradient) + SPREAD * (0..4).map(|i| u.residuals[i] * v.residuals[i]).sum::<f64>()
 }
 
 impl<const B: usize> Pressure<B> {
     /// `gradients[k]` are those of the potentials.
-    pub fn new(panels: &Panels, surface: &Surface, gradients: [Vec<Vector3>; B]) -> Self {
+    pub fn new(panels: &Panels, surface: &Surface, gradients: [Vec<Slope>; B]) -> Self {
         let onsets: [Vector3; B] = std::array::from_fn(|k| surface.onset(panels.axes()[k]));
         let mut velocities = gradients;
         for (velocities, onset) in velocities.iter_mut().zip(&onsets) {
             for (u, n) in velocities.iter_mut().zip(&surface.normals) {
-                *u += onset - n * n.dot(onset);
+                u.gradient += onset - n * n.dot(onset);
             }
         }
         let form = |panel: usize| {
             std::array::from_fn(|k| {
                 std::array::from_fn(|l| {
-                    onsets[k].dot(&onsets[l]) - velocities[k][panel].dot(&velocities[l][panel])
+                    onsets[k].dot(&onsets[l]) - mean_product(&velocities[k][panel], &velocities[l][panel])
                 })
             })
         };
@@ -58,7 +71,7 @@ impl<const B: usize> Pressure<B> {
         &self,
         panels: &Panels,
         surface: &Surface,
-        gradients: &[Vec<Vector3>; B],
+        gradients: &[Vec<Slope>; B],
         change: &SurfaceChange,
     ) -> Vec<Form<B>> {
         let onsets: [Vector3; B] = std::array::from_fn(|k| surface.onset(panels.axes()[k]));
@@ -67,15 +80,17 @@ impl<const B: usize> Pressure<B> {
         (0..panels.len())
             .map(|panel| {
                 let (n, dn) = (&surface.normals[panel], &change.normals[panel]);
-                let du: [Vector3; B] = std::array::from_fn(|k| {
+                let du: [Slope; B] = std::array::from_fn(|k| {
                     let (o, d_o) = (&onsets[k], &d_onsets[k]);
-                    gradients[k][panel] + d_o - n * (n.dot(d_o) + dn.dot(o)) - dn * n.dot(o)
+                    let mut du = gradients[k][panel];
+                    du.gradient += d_o - n * (n.dot(d_o) + dn.dot(o)) - dn * n.dot(o);
+                    du
                 });
                 std::array::from_fn(|k| {
                     std::array::from_fn(|l| {
                         onsets[k].dot(&d_onsets[l]) + d_onsets[k].dot(&onsets[l])
-                            - self.velocities[k][panel].dot(&du[l])
-                            - du[k].dot(&self.velocities[l][panel])
+                            - mean_product(&self.velocities[k][panel], &du[l])
+                            - mean_product(&du[k], &self.velocities[l][panel])
                     })
                 })
             })
@@ -89,19 +104,23 @@ impl<const B: usize> Pressure<B> {
         surface: &Surface,
         seeds: &[Form<B>],
         surface_seeds: &mut SurfaceChange,
-    ) -> [Vec<Vector3>; B] {
+    ) -> [Vec<Slope>; B] {
         let onsets: [Vector3; B] = std::array::from_fn(|k| surface.onset(panels.axes()[k]));
-        let mut out: [Vec<Vector3>; B] = std::array::from_fn(|_| vec![Vector3::zeros(); panels.len()]);
+        let mut out: [Vec<Slope>; B] = std::array::from_fn(|_| vec![Slope::default(); panels.len()]);
         for (panel, seed) in seeds.iter().enumerate() {
             let n = &surface.normals[panel];
             for k in 0..B {
                 let (mut of_u, mut of_onset) = (Vector3::zeros(), Vector3::zeros());
                 for l in 0..B {
                     let both = seed[k][l] + seed[l][k];
-                    of_u -= both * self.velocities[l][panel];
+                    let velocity = &self.velocities[l][panel];
+                    of_u -= both * velocity.gradient;
+                    for (out, r) in out[k][panel].residuals.iter_mut().zip(&velocity.residuals) {
+                        *out -= SPREAD * both * r;
+                    }
                     of_onset += both * onsets[l];
                 }
-                out[k][panel] = of_u;
+                out[k][panel].gradient = of_u;
                 of_onset += of_u - n * n.dot(&of_u);
                 surface_seeds.normals[panel] -= onsets[k] * n.dot(&of_u) + of_u * n.dot(&onsets[k]);
                 surface_seeds.beta += surface.onset_by_beta(panels.axes()[k]).dot(&of_onset);

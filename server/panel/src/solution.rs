@@ -9,10 +9,11 @@ use crate::{
     gradient::Gradients,
     influence::Influence,
     kutta::Kutta,
-    pressure::Pressure,
+    pressure::{Form, Pressure},
     setup::check,
     surface::Surface,
     system::System,
+    wake_force,
     wind::{self, Totals, Wind},
 };
 
@@ -31,6 +32,8 @@ pub(crate) struct State<const B: usize> {
     pub circulations: [Vec<f64>; B],
     pub pressure: Pressure<B>,
     pub totals: Totals<B>,
+    /// Upward force on the wakes, by dynamic pressure, m^2.
+    pub wake_lift: [[f64; B]; B],
     pub residual: f64,
     pub rounds: usize,
 }
@@ -83,8 +86,11 @@ pub struct Loads {
 pub struct Analysis {
     /// Coefficients of the whole, with slopes.
     pub scalars: Scalars,
-    /// Lift from the pressure over lift from the circulation, less one. Zero without lift. A measure of the discretisation, but not of that
-    /// alone: where a body turns the flow across a wake, which is straight here, a part of the lift acts on the wake and not on the body.
+    /// Lift coefficient of the wakes: the part of the circulation's lift that acts on them and not on the body, because they are straight and
+    /// the flow crosses them. Without derivatives.
+    pub wake_lift: f64,
+    /// Lift from the pressure and on the wakes over the lift that momentum demands for the circulation, less one. Zero without lift. It
+    /// vanishes as the mesh is refined, and so measures the discretisation.
     pub disagreement: f64,
     /// Forces of the whole.
     pub total: Loads,
@@ -92,7 +98,7 @@ pub struct Analysis {
     pub components: Vec<Loads>,
     /// Loads along the trailing edges of the solved half.
     pub sections: Vec<Section>,
-    /// Pressure coefficient of every cell.
+    /// Pressure coefficient of every cell: the mean over it.
     pub cp: Vec<f64>,
     /// Pressure coefficient at every vertex: the mean of its cells.
     pub vertex_cp: Vec<f64>,
@@ -188,20 +194,8 @@ impl Solution {
         let panels = &setup.panels;
         let wind = Wind::<B>::new(flow);
         let scalars = wind::eval(&state.totals, flow);
-        let panel_cp: Vec<f64> = state
-            .pressure
-            .forms
-            .iter()
-            .map(|form| {
-                let mut cp = 0.0;
-                for k in 0..B {
-                    for l in 0..B {
-                        cp += wind.w[k] * wind.w[l] * form[k][l];
-                    }
-                }
-                cp
-            })
-            .collect();
+        let panel_cp: Vec<f64> =
+            state.pressure.forms.iter().map(|of_panel| form(of_panel, &wind.w)).collect();
         let everything: Vec<u32> = (0..panels.len() as u32).collect();
         let images: &[u32] = if panels.symmetric { &everything } else { &[] };
         let total = loads("total", state, &panel_cp, &everything, images, flow, &wind);
@@ -230,9 +224,13 @@ impl Solution {
             .map(|cells| cells.iter().map(|c| cp[*c as usize]).sum::<f64>() / cells.len().max(1) as f64)
             .collect();
         let critical = critical_pressure(self.mach);
+        let wake_lift = wind.lift.z * form(&state.wake_lift, &wind.w) / flow.reference.area;
+        // Induced drag is along the wakes, and so a little downwards.
+        let demanded = scalars.lift - scalars.induced_drag * flow.alpha.sin();
         Analysis {
+            wake_lift,
             disagreement: if scalars.lift.abs() > 1e-9 {
-                scalars.pressure_lift / scalars.lift - 1.0
+                (scalars.pressure_lift + wake_lift) / demanded - 1.0
             } else {
                 0.0
             },
@@ -247,6 +245,11 @@ impl Solution {
             rounds: state.rounds,
         }
     }
+}
+
+/// `sum_kl w_k w_l F_kl`.
+fn form<const B: usize>(f: &Form<B>, w: &[f64; B]) -> f64 {
+    (0..B).map(|k| (0..B).map(|l| w[k] * w[l] * f[k][l]).sum::<f64>()).sum()
 }
 
 /// Pressure coefficient at which the local flow is sonic (isentropic, ratio of heats 1.4); none at Mach zero.
@@ -323,7 +326,8 @@ impl<const B: usize> State<B> {
         pressure.totals(panels, &surface, &mut totals);
         totals.lift = std::array::from_fn(|k| setup.trace.lift(&surface.points, &circulations[k]));
         totals.drag = setup.trace.drag(&surface.points, &circulations);
+        let wake_lift = wake_force::lift(panels, &surface, &setup.wakes, &mu, &circulations);
         let (residual, rounds) = (solved.residual, solved.rounds);
-        Ok(Self { surface, rows, system, mu, circulations, pressure, totals, residual, rounds })
+        Ok(Self { surface, rows, system, mu, circulations, pressure, totals, wake_lift, residual, rounds })
     }
 }

@@ -147,7 +147,8 @@ impl Wakes {
                     let at_a = from_a.is_some();
                     let path = from_a.or(from_b).unwrap_or_default();
                     let outer = if at_a { b } else { a };
-                    let beside = |q: u32| Corner { x: q, yz: outer };
+                    // The sheet begins with the whole trailing edge, also if that runs upstream from the body on.
+                    let beside = |q: u32| Corner { x: if q == path[0] { outer } else { q }, yz: outer };
                     for pair in path.windows(2) {
                         let (q, next) = (pair[0], pair[1]);
                         let (q_, next_) = (Corner::of(q), Corner::of(next));

@@ -182,7 +182,10 @@ struct Analysis {
   std::string id;
   Flow flow;
   Coefficients coefficients;
-  /// Lift from the pressure over lift from the circulation, less one: a measure of the discretisation.
+  /// Lift coefficient of the wakes: the part of the circulation's lift that acts on them and not on the body.
+  double wake_lift = 0.0;
+  /// Lift from the pressure and on the wakes over the lift that momentum demands for the circulation, less one: a measure of the
+  /// discretisation.
   double disagreement = 0.0;
   Loads total;
   std::map<std::string, Loads> components;

@@ -167,7 +167,10 @@ class Analysis:
     #: What was asked for.
     point: AnalysisPoint
     coefficients: Coefficients
-    #: Lift from the pressure over lift from the circulation, less one: a measure of the discretisation.
+    #: Lift coefficient of the wakes: the part of the circulation's lift that acts on them and not on the body.
+    wake_lift: float
+    #: Lift from the pressure and on the wakes over the lift that momentum demands for the circulation, less one: a measure of the
+    #: discretisation.
     disagreement: float
     total: Loads
     #: By name.
@@ -598,6 +601,7 @@ def _analysis(answer: wire.Analysis, flow: wire.FlowAnalysis, point: AnalysisPoi
         id=answer.analysis_id,
         point=point,
         coefficients=Coefficients(*(getattr(flow.coefficients, part.name) for part in fields(Coefficients))),
+        wake_lift=flow.wake_lift,
         disagreement=flow.disagreement,
         total=_loads(flow.total),
         components={loads.name: _loads(loads) for loads in flow.components},

@@ -299,6 +299,7 @@ fn flow_analysis(analysis: &Analysis, angles: v1::FlowAngles, pressures: bool) -
         alpha: angles.alpha,
         sideslip: angles.sideslip,
         coefficients: Some(coefficients(&analysis.scalars)),
+        wake_lift: analysis.wake_lift,
         disagreement: analysis.disagreement,
         total: Some(loads(&analysis.total)),
         components: analysis.components.iter().map(loads).collect(),

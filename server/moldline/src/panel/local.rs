@@ -108,7 +108,7 @@ fn read(path: &Path) -> Result<SurfaceMesh, Failure> {
 
 fn tell(alpha: f64, analysis: &Analysis) -> Result<(), Failure> {
     say(&format_args!(
-        "\nalpha {alpha} deg (residual {:.1e} after {} rounds, pressure lift off by {:+.2} %)",
+        "\nalpha {alpha} deg (residual {:.1e} after {} rounds, lifts off by {:+.2} %)",
         analysis.residual,
         analysis.rounds,
         100.0 * analysis.disagreement
@@ -116,6 +116,7 @@ fn tell(alpha: f64, analysis: &Analysis) -> Result<(), Failure> {
     for (name, value) in Scalars::NAMES.iter().zip(analysis.scalars.to_array()) {
         say(&format_args!("  {name:<20} {value:>12.6}"))?;
     }
+    say(&format_args!("  {:<20} {:>12.6}", "wake_lift", analysis.wake_lift))?;
     say(&format_args!("  {:<20} {:>12} {:>12} {:>12}", "part", "lift", "drag", "moment"))?;
     for part in std::iter::once(&analysis.total).chain(&analysis.components) {
         let Loads { name, lift, drag, moment, .. } = part;
@@ -140,6 +141,7 @@ fn report(alpha: f64, analysis: &Analysis) -> Value {
     json!({
         "alpha": alpha,
         "coefficients": scalars,
+        "wake_lift": analysis.wake_lift,
         "disagreement": analysis.disagreement,
         "total": part(&analysis.total),
         "components": analysis.components.iter().map(part).collect::<Vec<_>>(),

@@ -2,9 +2,10 @@
 
 use std::sync::Arc;
 
-use moldline_mesh::SurfaceMesh;
+use moldline_mesh::{Limits, SurfaceMesh, io::msh};
 use moldline_panel::{
     Flow, Inputs, Options, Outputs, PanelSetup, Reference, Scalars, Silent, Solution, Solver, Symmetry,
+    TrailingEdges,
 };
 
 use crate::meshes::{Random, Wing, partly_triangles};
@@ -172,6 +173,30 @@ fn products_agree_with_central_differences() {
         check(0..scalars, &|i| values[i].abs());
         let largest = exact[scalars..].iter().fold(0.0_f64, |m, x| m.max(x.abs()));
         check(scalars..exact.len(), &|_| largest);
+    }
+}
+
+/// The circulation goes on over a fuselage, also from a trailing edge that runs upstream: a coarse E175 with its wings swept forward.
+#[test]
+fn circulation_over_a_body() {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../examples/e175/study/mesh-coarse.msh");
+    let mut mesh = msh::read(&std::fs::read(path).unwrap(), &Limits::default()).unwrap().mesh;
+    mesh.vertices.iter_mut().for_each(|v| v[0] -= 0.5 * v[1].abs());
+    let names = ["trailing_edge_wing", "trailing_edge_htail"].map(str::to_owned).to_vec();
+    let options = Options { trailing_edges: TrailingEdges::Groups(names), ..Options::default() };
+    let case = Case::new(&mesh, options, 0.5, flow(0.0));
+    // Bent, but still its own mirror image.
+    let bent = |v: &[f64; 3]| [0.2 * v[1].abs(), 0.05 * v[1], 0.01 * v[0] * v[2] + 0.02 * v[1] * v[1]];
+    let way = Inputs { vertices: case.vertices.iter().map(bent).collect(), ..Inputs::default() };
+    let linearisation = case.solution().linearise(&case.flow).unwrap();
+    let exact = linearisation.jvp(std::slice::from_ref(&way), &Silent).unwrap().swap_remove(0);
+    let at = |size: f64| case.moved(&way, size).scalars.to_array();
+    let size = 1e-5;
+    let [a, b, c, d] = [-2.0 * size, -size, size, 2.0 * size].map(at);
+    for (i, exact) in exact.scalars.to_array().into_iter().enumerate() {
+        let difference = (8.0 * (c[i] - b[i]) - (d[i] - a[i])) / (12.0 * size);
+        let error = (exact - difference).abs() / exact.abs().max(0.01 * b[i].abs());
+        assert!(error < 1e-6, "{}: {exact} {difference}", Scalars::NAMES[i]);
     }
 }
 

@@ -87,8 +87,8 @@ fn evaluate(
     };
     let is_trailing = |e: [u32; 2]| trailing.iter().any(|t| *t == e || [t[1], t[0]] == e);
 
-    // Gradient of each cell as weights on potentials.
-    let gradient: Vec<Vec<(usize, V)>> = (0..n)
+    // Gradient of each cell as weights on potentials; and of the fit it comes from the ways u / |d| to neighbours and their weights.
+    let (gradient, fits): (Vec<Vec<(usize, V)>>, Vec<_>) = (0..n)
         .map(|i| {
             let mut m = [[real(0.0); 3]; 3];
             let mut arms = Vec::new();
@@ -119,6 +119,7 @@ fn evaluate(
             let determinant = dot(m[0], cofactors[0]);
             let mut weights = Vec::new();
             let mut own = [real(0.0); 3];
+            let mut fit = Vec::new();
             for (j, r) in arms {
                 let y: V = [0, 1, 2].map(|k| {
                     (cofactors[0][k] * r[0] + cofactors[1][k] * r[1] + cofactors[2][k] * r[2]) / determinant
@@ -126,11 +127,12 @@ fn evaluate(
                 let g = sub(y, scale(normals[i], dot(normals[i], y)));
                 own = sub(own, g);
                 weights.push((j, g));
+                fit.push((j, r, y));
             }
             weights.push((i, own));
-            weights
+            (weights, fit)
         })
-        .collect();
+        .unzip();
 
     // Circulation of each trailing edge: upper cells run from the first vertex to the second.
     let circulation: Vec<Vec<(usize, T)>> = trailing
@@ -201,7 +203,13 @@ fn evaluate(
     for i in 0..n {
         let g = gradient[i].iter().fold([real(0.0); 3], |s, (j, g)| add(s, scale(*g, mu[*j])));
         let u = add(sub(onset, scale(normals[i], dot(onset, normals[i]))), g);
-        let value = dot(onset, onset) - dot(u, u);
+        let mut value = dot(onset, onset) - dot(u, u);
+        let y = fits[i].iter().fold([real(0.0); 3], |s, (j, _, y)| add(s, scale(*y, mu[*j] - mu[i])));
+        for &(j, way, _) in &fits[i] {
+            // The rate along the way less the fitted one.
+            let rest = ((mu[j] - mu[i]) * dot(way, way) - dot(way, y)) / norm(way);
+            value -= rest * rest / 6.0;
+        }
         let a = area(&cells[i]);
         let f = scale([a[0], a[1] * beta, a[2] * beta], -value);
         force = add(force, f);

@@ -46,14 +46,16 @@ fn sphere_pressure() {
 /// NACA 0012, aspect ratio 8, flat tips, 5 degrees: PANAIR A502 gives C_L = 0.4323 on 32 x 20 cells, 0.4315 on 60 x 40.
 #[test]
 fn rectangular_wing() {
-    for (around, along, lift) in [(32, 20, 0.4323), (60, 40, 0.4315)] {
+    for (around, along, lift, apart) in [(32, 20, 0.4323, 4e-3), (60, 40, 0.4315, 1e-3)] {
         let mesh = Wing::rectangular(around, along).mesh();
         let setup = PanelSetup::new(&mesh, Options::default()).unwrap();
         let solution = setup.solve(&mesh.vertices, 0.0, &Silent).unwrap();
         let a = solution.analyse(&flow(5.0, 8.0)).unwrap();
         let cl = a.scalars.lift;
         assert!((cl / lift - 1.0).abs() <= 0.01, "C_L = {cl}");
-        assert!(a.disagreement.abs() <= 0.01, "pressure against circulation: {}", a.disagreement);
+        assert!(a.disagreement.abs() <= apart, "pressure and wake against circulation: {}", a.disagreement);
+        // Without the wake's force they differ by 0.3 % more.
+        assert!((0.002..0.004).contains(&(a.wake_lift / cl)), "on the wake: {}", a.wake_lift);
     }
 }
 
@@ -78,7 +80,7 @@ fn elliptic_wing() {
     let a = solution.analyse(&flow(4.0, 64.0)).unwrap();
     let efficiency = a.scalars.lift.powi(2) / (std::f64::consts::PI * a.scalars.induced_drag);
     assert!((efficiency - 1.0).abs() <= 0.01, "span efficiency {efficiency}");
-    assert!(a.disagreement.abs() <= 0.01, "pressure against circulation: {}", a.disagreement);
+    assert!(a.disagreement.abs() <= 0.01, "pressure and wake against circulation: {}", a.disagreement);
 }
 
 /// No plane wake has less drag than C_L^2 / (pi AR) (Munk). A vortex lattice on the plane of a rectangular wing of aspect ratio 8
