@@ -75,7 +75,9 @@ pub fn fuzz(seconds: u64, only: &[String]) -> Outcome {
     }
     match rows.iter().filter(|(_, progress)| progress.finding.is_some()).count() {
         0 => Ok(()),
-        findings => Err(format!("{findings} targets have findings; the messages above say how to see them again")),
+        findings => {
+            Err(format!("{findings} targets have findings; the messages above say how to see them again"))
+        }
     }
 }
 

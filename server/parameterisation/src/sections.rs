@@ -9,7 +9,7 @@ use crate::{Axis, ComponentReference};
 /// Samples kept per component at most, so that a huge control net does not become a huge sampling.
 const SAMPLE_LIMIT: usize = 100_000;
 /// Points of a sample line that are passed over at once where a plane is elsewhere.
-const BLOCK: usize = 16;
+const BLOCK: usize = 4;
 /// Slabs in which a plane looks for the blocks that it meets, and entries of blocks in all of them, at most.
 const SLABS: usize = 256;
 const SLAB_ENTRIES: usize = 4_000_000;
