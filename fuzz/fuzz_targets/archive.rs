@@ -1,8 +1,9 @@
-//! An archive of a set-up, of a kind that the first byte chooses: never more than the limits, whatever it says.
+//! An archive of a set-up, of a kind that the first byte chooses: never more than the limits, whatever it says. What it holds is
+//! read as a set-up, with all its files.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use moldline_setup::{ArchiveKind, Limits, unpack};
+use moldline_setup::{ArchiveKind, Limits, read_setup, unpack};
 
 fuzz_target!(|input: &[u8]| {
     let Some((kind, content)) = input.split_first() else { return };
@@ -15,5 +16,6 @@ fuzz_target!(|input: &[u8]| {
     if let Ok(files) = unpack(kind, content, &limits) {
         assert!(files.len() <= 16);
         assert!(files.values().map(Vec::len).sum::<usize>() <= 1 << 20);
+        let _ = read_setup(&files, None, &limits);
     }
 });

@@ -111,3 +111,18 @@ def test_gc_says_what_it_would_remove_and_verify_finds_damage(binary: Path, setu
     blob.write_bytes(blob.read_bytes()[:-1])
     damaged = run("verify")
     assert damaged.returncode == 1 and blob.name in damaged.stdout
+
+
+@pytest.mark.parametrize("command", [["verify"], ["gc", "--dry-run"], ["gc"]], ids=" ".join)
+@pytest.mark.parametrize("place", ["missing", "not-a-store", "memory"])
+def test_what_is_no_store_is_refused_and_left_as_it_is(
+    binary: Path, tmp_path: Path, command: list[str], place: str
+) -> None:
+    (tmp_path / "not-a-store").mkdir()
+    (tmp_path / "not-a-store" / "note.txt").write_text("somebody's")
+    before = sorted(tmp_path.rglob("*"))
+    run = [str(binary), "store", *command, "--store", place]
+    answer = subprocess.run(run, cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert answer.returncode == 1 and answer.stdout == ""
+    assert f"cannot open the store {place}:" in answer.stderr and "--store" in answer.stderr
+    assert sorted(tmp_path.rglob("*")) == before

@@ -1,5 +1,5 @@
 //! The repository's own commands: `cargo xtask demo | figures | study | validate-panel | test | lint | clients | bench |
-//! torture`.
+//! torture | fuzz`.
 //!
 //! They need Rust, a C compiler and Python >= 3.11 only; everything else comes from crates.io and PyPI, into `target/`, but
 //! for what the C++ client is built with: that comes from the distribution.
@@ -8,6 +8,7 @@ mod bench;
 mod check;
 mod clients;
 mod demo;
+mod fuzz;
 mod process;
 mod python;
 
@@ -69,6 +70,15 @@ enum Command {
         #[arg(long, value_name = "TRIAL")]
         only: Vec<String>,
     },
+    /// Feed broken set-ups, meshes, archives and request bodies to what reads them, with cargo-fuzz, which is installed if need be
+    Fuzz {
+        /// For each target
+        #[arg(long, default_value_t = 600)]
+        seconds: u64,
+        /// Only these: setup, mesh, archive, body
+        #[arg(value_name = "TARGET")]
+        only: Vec<String>,
+    },
 }
 
 fn main() -> ExitCode {
@@ -82,6 +92,7 @@ fn main() -> ExitCode {
         Command::Clients => clients::Clients::built().map(drop),
         Command::Bench { large, large_folder } => bench::bench(large, large_folder),
         Command::Torture { short, only } => demo::torture(short, &only),
+        Command::Fuzz { seconds, only } => fuzz::fuzz(seconds, &only),
     };
     match outcome {
         Ok(()) => ExitCode::SUCCESS,

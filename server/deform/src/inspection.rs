@@ -24,24 +24,41 @@ pub struct Inspection {
 }
 
 impl Inspection {
-    /// Prepares for a mesh in its reference state.
-    pub fn new(mesh: &SurfaceMesh, ownership: &Ownership, reference: &[Body]) -> Self {
-        let sources = mesh
+    /// Prepares for a mesh in its reference state. `found`: what [`middles`](Self::middles) gave before, taken if it fits.
+    pub fn new(mesh: &SurfaceMesh, ownership: &Ownership, reference: &[Body], found: &[Location]) -> Self {
+        let inner = |v: u32| matches!(ownership.of(v), [only] if only.freedom == Freedom::Surface);
+        let masks: Vec<u8> = mesh
             .cells
-            .par_iter()
-            .zip(&ownership.cell_owner)
-            .map(|(cell, &owner)| {
-                let inner = |v: u32| matches!(ownership.of(v), [only] if only.freedom == Freedom::Surface);
+            .iter()
+            .map(|cell| {
                 let corners = cell.vertices().iter().enumerate();
-                let mask = corners.filter(|&(_, &v)| inner(v)).fold(0, |mask, (k, _)| mask | 1 << k);
-                if mask != 0 {
-                    return Source::Corners(mask);
-                }
-                let middle = centroid(&mesh.vertices, cell);
-                Source::Middle(reference[owner as usize].closest_point(&middle).location)
+                corners.filter(|&(_, &v)| inner(v)).fold(0, |mask, (k, _)| mask | 1 << k)
             })
             .collect();
+        let alone: Vec<usize> = (0..masks.len()).filter(|&cell| masks[cell] == 0).collect();
+        let owner = |cell: usize| &reference[ownership.cell_owner[cell] as usize];
+        let fits =
+            |(&cell, at): (&usize, &Location)| (at.patch as usize) < owner(cell).component().patches().len();
+        let middles: Vec<Location> = if found.len() == alone.len() && alone.iter().zip(found).all(fits) {
+            found.to_vec()
+        } else {
+            let middle = |&cell: &usize| centroid(&mesh.vertices, &mesh.cells[cell]);
+            alone.par_iter().map(|cell| owner(*cell).closest_point(&middle(cell)).location).collect()
+        };
+        let mut sources: Vec<Source> = masks.into_iter().map(Source::Corners).collect();
+        for (&cell, location) in alone.iter().zip(middles) {
+            sources[cell] = Source::Middle(location);
+        }
         Self { sources, names: reference.iter().map(|b| b.component().name().to_owned()).collect() }
+    }
+
+    /// Parameters near the middles of the cells that have no corner in the middle of a surface.
+    pub fn middles(&self) -> Vec<Location> {
+        let middles = self.sources.iter().filter_map(|source| match source {
+            Source::Middle(location) => Some(*location),
+            Source::Corners(_) => None,
+        });
+        middles.collect()
     }
 
     /// Unit normal of its component at each cell. `locations`: parameters of each vertex on its first owner.

@@ -40,5 +40,5 @@ pub use ownership::{Attachment, Freedom, OwnershipParts};
 pub use pipeline::Deformation;
 pub use rbf::{Factors, Kernel};
 pub use report::{ComponentSummary, FieldSummary, ProtectedSummary, SetupReport, Symmetry};
-pub use seam_setup::SeamSummary;
-pub use setup::{Derived, RegionField, Setup, SetupInput};
+pub use seam_setup::{FoundLine, SeamSummary};
+pub use setup::{Derived, FoundSeams, RegionField, Setup, SetupInput};

@@ -53,7 +53,40 @@ enum Direction {
     Across,
 }
 
-/// Builds the solver for the seam vertices of `ownership`.
+/// What takes time to find of the line of a seam vertex on two components.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FoundLine {
+    /// Index into the mesh.
+    pub vertex: u32,
+    /// Component that carries the line, and the one to be met.
+    pub components: [u32; 2],
+    /// As in [`SeamLine`].
+    pub direction: [f64; 2],
+    /// As in [`SeamLine`].
+    pub bracket: [f64; 2],
+    /// As in [`SeamLine`].
+    pub limits: [f64; 2],
+    /// As in [`SeamLine`].
+    pub from_inside: bool,
+}
+
+/// The lines of a solver, in the order of their vertices.
+pub fn found_lines(solver: &SeamSolver) -> Vec<FoundLine> {
+    let lines = solver.vertices.iter().filter_map(|vertex| match &vertex.search {
+        SeamSearch::Line(line) => Some(FoundLine {
+            vertex: vertex.vertex,
+            components: [line.reference, line.targets[0]],
+            direction: line.direction,
+            bracket: line.bracket,
+            limits: line.limits,
+            from_inside: line.from_inside,
+        }),
+        SeamSearch::Junction(_) => None,
+    });
+    lines.collect()
+}
+
+/// Builds the solver for the seam vertices of `ownership`. Rows of vertices whose lines are all in `found` are taken from there.
 ///
 /// # Errors
 /// [`SetupError::TangentSeam`] where components touch without crossing.
@@ -64,6 +97,7 @@ pub fn seam_solver(
     bodies: &[Body],
     options: SeamOptions,
     length: f64,
+    found: &[FoundLine],
     monitor: &dyn Monitor,
 ) -> Result<(SeamSolver, Vec<SeamSummary>), SetupError> {
     let seam_vertices: Vec<u32> =
@@ -71,6 +105,7 @@ pub fn seam_solver(
     let junctions: Vec<u32> = seam_vertices.iter().copied().filter(|&v| ownership.of(v).len() > 2).collect();
     let index_of: HashMap<u32, u32> = (0u32..).zip(&seam_vertices).map(|(i, &v)| (v, i)).collect();
 
+    let found: HashMap<u32, &FoundLine> = found.iter().map(|line| (line.vertex, line)).collect();
     let mut lines: HashMap<u32, (SeamLine, f64)> = HashMap::new();
     let mut summaries = Vec::new();
     let rows = rows(ownership, topology, &seam_vertices);
@@ -78,7 +113,11 @@ pub fn seam_solver(
         if monitor.cancelled() {
             return Err(SetupError::Cancelled);
         }
-        let built = row_lines(row, ownership, bodies)?;
+        let known = row.iter().map(|vertex| restored(found.get(vertex)?, ownership, bodies));
+        let built = match known.collect::<Option<Vec<_>>>() {
+            Some(known) => known,
+            None => row_lines(row, ownership, bodies)?,
+        };
         let carried = carried(row, &junctions, ownership, topology, vertices, &index_of);
         summaries.push(summary(row, ownership, bodies, &built));
         for ((&vertex, (mut line, quality)), carried) in row.iter().zip(built).zip(carried) {
@@ -201,6 +240,27 @@ fn row_lines(
     lines.into_iter().collect()
 }
 
+/// A line that was found before, with its transversality; `None` if its vertex does not lie on those two components.
+fn restored(found: &FoundLine, ownership: &Ownership, bodies: &[Body]) -> Option<(SeamLine, f64)> {
+    let FoundLine { vertex, components: [reference, target], direction, bracket, limits, from_inside } =
+        *found;
+    let (own, other) = (ownership.on(vertex, reference)?, ownership.on(vertex, target)?);
+    if reference == target {
+        return None;
+    }
+    let line = SeamLine {
+        reference,
+        start: own.location,
+        direction,
+        bracket,
+        limits,
+        from_inside,
+        targets: vec![target],
+        carried: Vec::new(),
+    };
+    Some((line, sine(own, other, direction, bodies)))
+}
+
 /// `|n_t . S_a| / |S_a|`, the sine between the line and the target's surface; negative if the line would leave a sharp
 /// edge that the vertex slides along.
 fn transversality(vertex: u32, choice: Choice, ownership: &Ownership, bodies: &[Body]) -> f64 {
@@ -224,15 +284,17 @@ fn transversality(vertex: u32, choice: Choice, ownership: &Ownership, bodies: &[
     }
     let others = ownership.of(vertex).iter().filter(|o| o.component != choice.component);
     others
-        .map(|other| {
-            let normal = bodies[other.component as usize].normal(&other.location);
-            let [a, b] = parameter_direction(choice, own, other, bodies);
-            let point = body.point(&own.location);
-            let tangent = point.d_u * a + point.d_v * b;
-            let sine = normal.dot(&tangent).abs() / tangent.norm();
-            if sine.is_finite() { sine } else { -1.0 }
-        })
+        .map(|other| sine(own, other, parameter_direction(choice, own, other, bodies), bodies))
         .fold(f64::INFINITY, f64::min)
+}
+
+/// The sine between a line and its target's surface; negative where there is none.
+fn sine(own: &Attachment, other: &Attachment, [a, b]: [f64; 2], bodies: &[Body]) -> f64 {
+    let normal = bodies[other.component as usize].normal(&other.location);
+    let point = bodies[own.component as usize].point(&own.location);
+    let tangent = point.d_u * a + point.d_v * b;
+    let sine = normal.dot(&tangent).abs() / tangent.norm();
+    if sine.is_finite() { sine } else { -1.0 }
 }
 
 /// The direction of a line in parameters, scaled so that a unit of lambda goes the length of a patch.
@@ -485,7 +547,7 @@ mod tests {
         let cells = [Cell::quad(0, 2, 3, 1), Cell::quad(2, 4, 5, 3)];
         let ownership = Ownership::find(&vertices, &cells, &bodies, 1e-9, &Silent)?;
         let topology = Topology::of_cells(vertices.len(), &cells);
-        seam_solver(&ownership, &topology, &vertices, &bodies, SeamOptions::default(), 4.0, &Silent)
+        seam_solver(&ownership, &topology, &vertices, &bodies, SeamOptions::default(), 4.0, &[], &Silent)
     }
 
     #[test]

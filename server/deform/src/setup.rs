@@ -21,7 +21,7 @@ use crate::{
     rbf::Factors,
     report::{ComponentSummary, FieldSummary, ProtectedSummary, SetupReport, Symmetry},
     seam::SeamSolver,
-    seam_setup::seam_solver,
+    seam_setup::{FoundLine, found_lines, seam_solver},
     training::Region,
 };
 
@@ -45,8 +45,23 @@ pub struct SetupInput {
 pub struct Derived {
     /// Where every vertex lies.
     pub ownership: OwnershipParts,
+    /// The seams.
+    pub seams: FoundSeams,
+    /// Where the normals are taken of cells that have no corner in the middle of a surface.
+    pub middles: Vec<Location>,
     /// The factorised fields, in their order.
     pub fields: Vec<Factors>,
+}
+
+/// The seams of a set-up.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct FoundSeams {
+    /// Of the vertices on two components.
+    pub lines: Vec<FoundLine>,
+    /// Where the search finds all seam vertices in the reference state, m.
+    pub points: Vec<Vector3>,
+    /// Largest distance of such a point to its components, m.
+    pub residual: f64,
 }
 
 /// A field and the vertices that it moves.
@@ -131,6 +146,12 @@ impl Setup {
     pub fn derived(&self) -> Derived {
         Derived {
             ownership: self.ownership.parts(),
+            seams: FoundSeams {
+                lines: found_lines(&self.seams),
+                points: self.seams.vertices.iter().map(|seam| self.positions[seam.vertex as usize]).collect(),
+                residual: self.report.seam_residual,
+            },
+            middles: self.inspection.middles(),
             fields: self.fields.iter().map(|field| field.field.factors()).collect(),
         }
     }
@@ -174,12 +195,23 @@ impl Setup {
         }
 
         monitor.progress(Stage::Seams, 0.0);
-        let (seams, seam_summaries) =
-            seam_solver(&ownership, &topology, &mesh.vertices, &reference, options.seam, length, monitor)?;
-        let seam_points = seams.eval(&reference, &reference, monitor).map_err(|error| match error {
-            DeformError::Cancelled => SetupError::Cancelled,
-            other => SetupError::ReferenceSeam(Box::new(other)),
-        })?;
+        let found = derived.seams;
+        let (seams, seam_summaries) = seam_solver(
+            &ownership,
+            &topology,
+            &mesh.vertices,
+            &reference,
+            options.seam,
+            length,
+            &found.lines,
+            monitor,
+        )?;
+        let FoundSeams { points: seam_points, residual: seam_residual, .. } =
+            if found.points.len() == seams.vertices.len() && found.lines == found_lines(&seams) {
+                found
+            } else {
+                find_seams(&seams, &reference, monitor)?
+            };
         let mut positions: Vec<Vector3> = (0..mesh.vertices.len() as u32)
             .map(|v| {
                 let own = &ownership.of(v)[0];
@@ -187,7 +219,7 @@ impl Setup {
             })
             .collect();
         for (seam, point) in seams.vertices.iter().zip(&seam_points) {
-            positions[seam.vertex as usize] = point.position;
+            positions[seam.vertex as usize] = *point;
         }
 
         monitor.progress(Stage::Training, 0.0);
@@ -209,7 +241,7 @@ impl Setup {
         monitor.progress(Stage::Report, 0.0);
         let origin = if half_plane.is_some() { Vector3::zeros() } else { positions[0] };
         let outputs = Outputs::new(&outputs, &components, origin)?;
-        let inspection = Inspection::new(&mesh, &ownership, &reference);
+        let inspection = Inspection::new(&mesh, &ownership, &reference, &derived.middles);
         let union = SmoothUnion::from_fillet(options.fillet.unwrap_or(5e-4 * length));
         let locations: Vec<Location> =
             (0..mesh.vertices.len() as u32).map(|v| ownership.of(v)[0].location).collect();
@@ -235,7 +267,7 @@ impl Setup {
             surface_tolerance: tolerance,
             components: components_summary,
             seams: seam_summaries,
-            seam_residual: seam_points.iter().map(|p| p.residual).fold(0.0, f64::max),
+            seam_residual,
             watertight: open_edges.is_empty(),
             open_edges: open_edges.len(),
             euler: topology.euler(),
@@ -500,6 +532,23 @@ fn refuse_holes(
         }
         _ => Ok(()),
     }
+}
+
+/// Searches the seams in the reference state.
+fn find_seams(
+    seams: &SeamSolver,
+    reference: &[Body],
+    monitor: &dyn Monitor,
+) -> Result<FoundSeams, SetupError> {
+    let points = seams.eval(reference, reference, monitor).map_err(|error| match error {
+        DeformError::Cancelled => SetupError::Cancelled,
+        other => SetupError::ReferenceSeam(Box::new(other)),
+    })?;
+    Ok(FoundSeams {
+        lines: Vec::new(),
+        points: points.iter().map(|point| point.position).collect(),
+        residual: points.iter().map(|point| point.residual).fold(0.0, f64::max),
+    })
 }
 
 fn group_mask(mesh: &SurfaceMesh, names: &[String]) -> Vec<bool> {

@@ -96,7 +96,7 @@ pub fn pair_vertices(
         grid.insert(x, vertex as u32);
     }
     let partner = |(vertex, x): (usize, &[f64; 3])| {
-        if on_plane(x) { Some(vertex as u32) } else { grid.nearest(&plane.mirror(x), tolerance, vertices) }
+        if on_plane(x) { Some(vertex as u32) } else { grid.nearest(&plane.mirror(x), vertices) }
     };
     let partners: Vec<Option<u32>> = vertices.iter().enumerate().map(partner).collect();
     let mutual =

@@ -64,6 +64,9 @@ pub enum Failure {
     /// A figure cannot be drawn.
     #[error("cannot draw the figure: {0}")]
     Plot(#[from] PlotError),
+    /// There is no store, or it cannot be opened.
+    #[error("{0}; name the place that `moldline serve` was given by --store")]
+    NoStore(#[source] moldline_service::StoreError),
     /// The store.
     #[error(transparent)]
     Store(#[from] moldline_service::StoreError),

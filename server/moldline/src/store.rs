@@ -20,7 +20,7 @@ pub fn run(options: &config::Store) -> Result<(), Failure> {
 }
 
 async fn collect(options: &config::Collect) -> Result<(), Failure> {
-    let store = Store::open(&options.place.store).await?;
+    let store = open(&options.place).await?;
     let collected = store.collect(options.grace, options.dry_run).await?;
     for object in &collected.objects {
         say(object)?;
@@ -30,7 +30,7 @@ async fn collect(options: &config::Collect) -> Result<(), Failure> {
 }
 
 async fn verify(place: &config::Place) -> Result<(), Failure> {
-    let verified = Store::open(&place.store).await?.verify().await?;
+    let verified = open(place).await?.verify().await?;
     for fault in &verified.faults {
         say(fault)?;
     }
@@ -39,4 +39,9 @@ async fn verify(place: &config::Place) -> Result<(), Failure> {
         0 => Ok(()),
         faults => Err(Failure::Damaged(faults)),
     }
+}
+
+/// Makes none: a place mistyped is no store that is empty and sound.
+async fn open(place: &config::Place) -> Result<Store, Failure> {
+    Store::open_existing(&place.store).await.map_err(Failure::NoStore)
 }

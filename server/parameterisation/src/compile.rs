@@ -1,7 +1,9 @@
 //! Declarations to operations: names are looked up, reference geometry is measured, everything is checked.
 
+use std::cell::OnceCell;
 use std::collections::{BTreeMap, HashMap};
 use std::ops::Range;
+use std::rc::Rc;
 
 use moldline_spline::{KnotVector, Vector3};
 
@@ -105,6 +107,8 @@ fn reference_points(
 /// State while operations are compiled one by one.
 struct Compiler<'a> {
     components: &'a [ComponentReference],
+    /// The surfaces of each component alone, sampled for the first operation that asks.
+    sampled: Vec<OnceCell<Rc<SampledSurfaces>>>,
     index: HashMap<&'a str, usize>,
     ranges: Vec<Range<usize>>,
     /// Reference control points, then the points carried along.
@@ -137,6 +141,7 @@ impl<'a> Compiler<'a> {
         let carried = vec![Vec::new(); components.len()];
         Ok(Self {
             components,
+            sampled: components.iter().map(|_| OnceCell::new()).collect(),
             index,
             ranges,
             points,
@@ -174,7 +179,7 @@ impl<'a> Compiler<'a> {
                 let line = match r.centre {
                     CentreLine::Point(p) => Table::constant(finite(format!("operations[{i}].centre"), p)?),
                     CentreLine::Sections => {
-                        let surfaces = SampledSurfaces::new(&[&self.components[members[0]]]);
+                        let surfaces = self.surfaces(members[0]);
                         let (low, high) = surfaces.range(r.axis.index());
                         Table::new(low, high, |x| Some(surfaces.centre(r.axis.index(), x)))
                             .ok_or_else(|| geometry(i, "the body has no cross-sections along this axis"))?
@@ -195,6 +200,11 @@ impl<'a> Compiler<'a> {
             self.centres.push(centres);
         }
         Ok(())
+    }
+
+    fn surfaces(&self, component: usize) -> Rc<SampledSurfaces> {
+        let sample = || Rc::new(SampledSurfaces::new(&[&self.components[component]]));
+        Rc::clone(self.sampled[component].get_or_init(sample))
     }
 
     fn carry(&mut self, component: usize, point: Vector3) -> usize {
@@ -225,7 +235,7 @@ impl<'a> Compiler<'a> {
         symmetric: bool,
     ) -> Result<Vector3, ParameterisationError> {
         let axes = Axes::of_span(span);
-        let surfaces = SampledSurfaces::new(&[&self.components[component]]);
+        let surfaces = self.surfaces(component);
         let station = if symmetric { 0.0 } else { surfaces.range(axes.span).0 };
         let section = surfaces
             .section(axes, station, symmetric)
@@ -387,7 +397,7 @@ impl<'a> Compiler<'a> {
             });
         }
         let axes = Axes::of_span(declaration.span);
-        let surfaces = SampledSurfaces::new(&[&self.components[members[0]]]);
+        let surfaces = self.surfaces(members[0]);
         let (area, aspect_ratio) = surfaces
             .planform(axes, declaration.symmetric)
             .ok_or_else(|| geometry(i, "the component has no planform: is the span axis right?"))?;

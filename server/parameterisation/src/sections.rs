@@ -1,5 +1,7 @@
 //! Cross-sections of the reference geometry: local chord, quarter-chord point, planform area, centre line.
 
+use std::{cell::OnceCell, ops::Range};
+
 use moldline_spline::Vector3;
 
 use crate::{Axis, ComponentReference};
@@ -7,7 +9,10 @@ use crate::{Axis, ComponentReference};
 /// Samples kept per component at most, so that a huge control net does not become a huge sampling.
 const SAMPLE_LIMIT: usize = 100_000;
 /// Points of a sample line that are passed over at once where a plane is elsewhere.
-const BLOCK: usize = 16;
+const BLOCK: usize = 4;
+/// Slabs in which a plane looks for the blocks that it meets, and entries of blocks in all of them, at most.
+const SLABS: usize = 256;
+const SLAB_ENTRIES: usize = 4_000_000;
 /// Sections of the midpoint rule for the planform area.
 const AREA_SECTIONS: usize = 256;
 
@@ -46,8 +51,12 @@ impl Section {
 /// Grids of points on the surfaces of some components, to be cut by planes.
 pub(crate) struct SampledSurfaces {
     grids: Vec<Grid>,
+    /// Of all grids, one after the other.
+    blocks: Vec<Block>,
     /// Of all points.
     bounds: Bounds,
+    /// Across each axis, made for the first cut.
+    slabs: [OnceCell<Slabs>; 3],
 }
 
 /// Points of a patch.
@@ -56,30 +65,59 @@ struct Grid {
     n_v: usize,
     /// Second index fastest.
     points: Vec<Vector3>,
-    /// By block, of the lines that begin in it.
-    bounds: Vec<Bounds>,
+}
+
+/// Part of a row of a grid.
+struct Block {
+    grid: usize,
+    row: usize,
+    /// First and last column (exclusive).
+    columns: Range<usize>,
+    /// Of the lines that begin in it.
+    bounds: Bounds,
 }
 
 impl Grid {
-    fn new(n_u: usize, n_v: usize, points: Vec<Vector3>) -> Self {
-        let mut grid = Self { n_u, n_v, points, bounds: Vec::new() };
-        grid.bounds = grid
-            .blocks()
-            .map(|(i, from, to)| {
+    /// Its blocks, row by row.
+    fn blocks(&self, grid: usize) -> impl Iterator<Item = Block> + '_ {
+        let Self { n_u, n_v, ref points } = *self;
+        (0..n_u).flat_map(move |row| {
+            (0..n_v).step_by(BLOCK).map(move |from| {
+                let columns = from..(from + BLOCK).min(n_v);
                 // Lines lead to the next point of the row, and to the next row.
-                let row = |i: usize, to: usize| &grid.points[i * n_v + from..i * n_v + to.min(n_v)];
-                let following = if i + 1 < n_u { row(i + 1, to) } else { &[] };
-                Bounds::of(row(i, to + 1).iter().chain(following))
+                let of_row = |row: usize, to: usize| &points[row * n_v + from..row * n_v + to.min(n_v)];
+                let following = if row + 1 < n_u { of_row(row + 1, columns.end) } else { &[] };
+                let bounds = Bounds::of(of_row(row, columns.end + 1).iter().chain(following));
+                Block { grid, row, columns, bounds }
             })
-            .collect();
-        grid
+        })
+    }
+}
+
+/// The space between the smallest and the largest coordinate along an axis, cut into slabs of one width.
+struct Slabs {
+    low: f64,
+    width: f64,
+    /// Indices of the blocks that reach into each, in order.
+    blocks: Vec<Vec<u32>>,
+}
+
+impl Slabs {
+    fn new(axis: usize, all: &Bounds, blocks: &[Block]) -> Self {
+        let count = (SLAB_ENTRIES / blocks.len().max(1)).clamp(1, SLABS);
+        let (low, high) = (all.low[axis], all.high[axis]);
+        let mut slabs = Self { low, width: (high - low) / count as f64, blocks: vec![Vec::new(); count] };
+        for (index, Block { bounds, .. }) in (0..).zip(blocks) {
+            for slab in slabs.number(bounds.low[axis])..=slabs.number(bounds.high[axis]) {
+                slabs.blocks[slab].push(index);
+            }
+        }
+        slabs
     }
 
-    /// Row, first and last column (exclusive) of each block.
-    fn blocks(&self) -> impl Iterator<Item = (usize, usize, usize)> + use<> {
-        let n_v = self.n_v;
-        (0..self.n_u)
-            .flat_map(move |i| (0..n_v).step_by(BLOCK).map(move |from| (i, from, (from + BLOCK).min(n_v))))
+    /// Of the slab of a coordinate, or of the nearest one. Does not decrease with the coordinate, whatever the rounding.
+    fn number(&self, x: f64) -> usize {
+        (((x - self.low) / self.width) as usize).min(self.blocks.len() - 1)
     }
 }
 
@@ -126,11 +164,12 @@ impl SampledSurfaces {
                     .flat_map(|&u| vs.iter().map(move |&v| (u, v)))
                     .map(|(u, v)| surface.position(&homogeneous, u, v))
                     .collect();
-                Grid::new(us.len(), vs.len(), points)
+                Grid { n_u: us.len(), n_v: vs.len(), points }
             })
             .collect();
         let bounds = Bounds::of(grids.iter().flat_map(|grid| &grid.points));
-        Self { grids, bounds }
+        let blocks = grids.iter().enumerate().flat_map(|(index, grid)| grid.blocks(index)).collect();
+        Self { grids, blocks, bounds, slabs: Default::default() }
     }
 
     /// Smallest and largest coordinate along an axis.
@@ -153,20 +192,20 @@ impl SampledSurfaces {
                 visit(a + (b - a) * (da / (da - db)));
             }
         };
-        for grid in &self.grids {
-            let Grid { n_u, n_v, points, bounds } = grid;
-            for ((i, from, to), bounds) in grid.blocks().zip(bounds) {
-                if station < bounds.low[axis] || bounds.high[axis] < station {
-                    continue;
+        let slabs = self.slabs[axis].get_or_init(|| Slabs::new(axis, &self.bounds, &self.blocks));
+        for &block in &slabs.blocks[slabs.number(station)] {
+            let Block { grid, row, ref columns, ref bounds } = self.blocks[block as usize];
+            if station < bounds.low[axis] || bounds.high[axis] < station {
+                continue;
+            }
+            let Grid { n_u, n_v, ref points } = self.grids[grid];
+            for column in columns.clone() {
+                let p = &points[row * n_v + column];
+                if column + 1 < n_v {
+                    edge(p, &points[row * n_v + column + 1]);
                 }
-                for j in from..to {
-                    let p = &points[i * n_v + j];
-                    if j + 1 < *n_v {
-                        edge(p, &points[i * n_v + j + 1]);
-                    }
-                    if i + 1 < *n_u {
-                        edge(p, &points[(i + 1) * n_v + j]);
-                    }
+                if row + 1 < n_u {
+                    edge(p, &points[(row + 1) * n_v + column]);
                 }
             }
         }
@@ -311,12 +350,8 @@ mod tests {
         // The same points, with bounds that hold everywhere.
         let everything =
             Bounds { low: -Vector3::repeat(f64::INFINITY), high: Vector3::repeat(f64::INFINITY) };
-        let grids = sampled.grids.iter().map(|grid| Grid {
-            points: grid.points.clone(),
-            bounds: vec![everything; grid.bounds.len()],
-            ..*grid
-        });
-        let exhaustive = SampledSurfaces { grids: grids.collect(), bounds: sampled.bounds };
+        let mut exhaustive = SampledSurfaces::new(&[&wing]);
+        exhaustive.blocks.iter_mut().for_each(|block| block.bounds = everything);
         let vertex = sampled.grids[0].points[BLOCK];
         for axis in 0..3 {
             let (low, high) = sampled.range(axis);

@@ -13,13 +13,19 @@ use crate::{
 };
 
 /// A set-up that has been read but not built.
-pub struct Content {
-    /// Hash of all files that it consists of.
-    pub id: SetupId,
+pub struct Read {
     /// The user's title of it.
     pub name: String,
     /// For the engine.
     pub input: SetupInput,
+}
+
+/// The same with what it was read from.
+pub struct Content {
+    /// Hash of all files that it consists of.
+    pub id: SetupId,
+    /// For the engine.
+    pub read: Read,
     /// What it consists of: its set-up file first, then what that refers to by path.
     pub files: Vec<(String, Vec<u8>)>,
 }
@@ -40,14 +46,15 @@ pub fn uploaded(uploaded: Uploaded, limits: &Limits) -> Result<Content, ServiceE
     read(files, header.setup_file.as_deref(), limits)
 }
 
-/// Reads what the store keeps of a set-up.
+/// Reads what the store keeps of a set-up: its files, verified against its name.
 ///
 /// # Errors
 /// `InvalidArgument` if this version reads less than the one that stored it.
-pub fn stored(files: Vec<(String, Bytes)>, limits: &Limits) -> Result<Content, ServiceError> {
+pub fn stored(files: Vec<(String, Bytes)>, limits: &Limits) -> Result<Read, ServiceError> {
     let setup_file = files.first().map(|(path, _)| path.clone());
-    let files = files.into_iter().map(|(path, content)| (path, content.to_vec())).collect();
-    read(files, setup_file.as_deref(), limits)
+    let files = files.into_iter().map(|(path, content)| (path, content.into())).collect();
+    let SetupContent { name, input, .. } = read_setup(&files, setup_file.as_deref(), &file_limits(limits))?;
+    Ok(Read { name, input })
 }
 
 fn read(mut files: Files, setup_file: Option<&str>, limits: &Limits) -> Result<Content, ServiceError> {
@@ -56,7 +63,7 @@ fn read(mut files: Files, setup_file: Option<&str>, limits: &Limits) -> Result<C
     let used: Vec<(String, Vec<u8>)> =
         used.into_iter().filter_map(|path| files.remove_entry(&path)).collect();
     let manifest = Manifest::of(used.iter().map(|(path, content)| (path.as_str(), content.as_slice())));
-    Ok(Content { id: SetupId::new(manifest.id()), name, input, files: used })
+    Ok(Content { id: SetupId::new(manifest.id()), read: Read { name, input }, files: used })
 }
 
 fn file_limits(limits: &Limits) -> moldline_setup::Limits {

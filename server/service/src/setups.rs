@@ -1,7 +1,7 @@
 //! Set-ups by the hash of their content: in memory while they are used, in the store for good.
 
 use std::{
-    fmt,
+    fmt, future,
     sync::Arc,
     time::{Duration, Instant},
 };
@@ -18,7 +18,7 @@ use crate::{
     pool::{ComputePool, Task},
     principal::Tenant,
     progress::{Progress, Reporter},
-    read::{self, Content},
+    read::{self, Content, Read},
     status::CacheStatus,
 };
 
@@ -105,8 +105,9 @@ impl Setups {
         self.make_room()?;
         let id = content.id.to_string();
         let (store, pool, tenant) = (self.store.clone(), Arc::clone(&self.pool), tenant.clone());
+        let Content { id: name, read, .. } = content;
         let work = |reports: Reports<StoredSetup>| async move {
-            make(&store, &pool, tenant, content, reports).await
+            make(&store, &pool, tenant, name, future::ready(Ok(read)), reports).await
         };
         match self.flights.join(id.clone(), || self.held.get(&id), work, self.land(&id)) {
             Joined::Found(setup) => {
@@ -133,9 +134,10 @@ impl Setups {
         let (store, pool) = (self.store.clone(), Arc::clone(&self.pool));
         let (tenant, limits) = (tenant.clone(), self.limits.clone());
         let task = Task { kind: "load", tenant: tenant.clone(), setup: Some(id.to_owned()), session: None };
+        let name = SetupId::new(id.to_owned());
         let work = |reports: Reports<StoredSetup>| async move {
-            let content = pool.run(task, move |_| read::stored(files, &limits)).await?.value;
-            make(&store, &pool, tenant, content, reports).await
+            let read = async { Ok(pool.run(task, move |_| read::stored(files, &limits)).await?.value) };
+            make(&store, &pool, tenant, name, read, reports).await
         };
         let key = id.to_owned();
         match self.flights.join(key.clone(), || self.held.get(&key), work, self.land(id)) {
@@ -166,19 +168,22 @@ impl Setups {
     }
 }
 
-/// Builds a set-up; from what this build of the engine derived of it before, if that is stored, and stores it if not.
+/// Builds a set-up as it is `read`; from what this build of the engine derived of it before, if that is stored, and stores it if not.
 async fn make(
     store: &Store,
     pool: &ComputePool,
     tenant: Tenant,
-    content: Content,
+    id: SetupId,
+    read: impl Future<Output = Result<Read, ServiceError>>,
     reports: Reports<StoredSetup>,
 ) -> Result<StoredSetup, ServiceError> {
-    let id = content.id.clone();
-    let stored = store.derived(id.as_str(), BUILD).await.unwrap_or_else(|error| {
+    let (read, stored) = tokio::join!(read, store.derived(id.as_str(), BUILD));
+    let Read { name, input } = read?;
+    let stored = stored.unwrap_or_else(|error| {
         tracing::warn!(%error, "building the set-up anew");
         None
     });
+    let stored_as = id.clone();
     let task = Task { kind: "build", tenant, setup: Some(id.to_string()), session: None };
     let (setup, derived) = pool
         .run(task, move |ticket| {
@@ -187,7 +192,6 @@ async fn make(
                 ticket.progress(&progress);
                 reports.tell(progress);
             });
-            let Content { id, name, input, .. } = content;
             let known = stored.and_then(|stored| Known::read(&stored));
             let (engine, build_time, derived) = match known {
                 Some(Known { build_time, derived }) => {
@@ -208,7 +212,7 @@ async fn make(
         .await?
         .value;
     if let Some(derived) = derived
-        && let Err(error) = store.put_derived(id.as_str(), BUILD, derived).await
+        && let Err(error) = store.put_derived(stored_as.as_str(), BUILD, derived).await
     {
         // Only time is lost: it can be derived again.
         tracing::warn!(%error, "cannot store what was derived of a set-up");

@@ -66,10 +66,14 @@ pub fn read_setup(
         components.push(component);
         references.push(reference);
     }
-    let mesh = reader.mesh(document.mesh)?;
     let variables: Vec<_> = document.parameterisation.variables.into_iter().map(variable).collect();
     let operations: Vec<_> = document.parameterisation.operations.into_iter().map(operation).collect();
-    let parameterisation = Parameterisation::new(&references, &variables, &operations)?;
+    // Neither needs the other, and both take time.
+    let (mesh, parameterisation) = rayon::join(
+        || reader.mesh(document.mesh),
+        || Parameterisation::new(&references, &variables, &operations),
+    );
+    let (mesh, parameterisation) = (mesh?, parameterisation?);
     too_many("outputs", "outputs", document.outputs.len(), limits.components)?;
     let outputs = document.outputs.into_iter().enumerate();
     let outputs =

@@ -2,20 +2,24 @@
 //!
 //! A reader trusts no count; whether the numbers fit a set-up is for [`Setup::restore`](moldline_deform::Setup::restore).
 
-use moldline_deform::{Attachment, Derived, Factors, Freedom, Location, OwnershipParts};
+use moldline_deform::{
+    Attachment, Derived, Factors, FoundLine, FoundSeams, Freedom, Location, OwnershipParts,
+};
+use moldline_spline::Vector3;
 
 /// Names the engine that finds what it derives: its sources, the compiler and the processor's kind. What another one found
 /// is not taken.
 pub const BUILD: &str = env!("MOLDLINE_BUILD");
 
 /// First of all; changes with the order below.
-const MAGIC: &[u8; 8] = b"MOLDDER1";
+const MAGIC: &[u8; 8] = b"MOLDDER2";
 
 /// Writes what was derived.
 pub fn encode_derived(derived: &Derived) -> Vec<u8> {
-    let Derived { ownership, fields } = derived;
+    let Derived { ownership, seams, middles, fields } = derived;
     let numbers: usize = fields.iter().map(|factors| factors.top.len() + factors.lower.len() + 4).sum();
-    let mut out = Writer(Vec::with_capacity(8 * numbers + 64 * ownership.attachments.len() + 1024));
+    let rows = ownership.attachments.len() + 2 * seams.points.len() + middles.len();
+    let mut out = Writer(Vec::with_capacity(8 * numbers + 64 * rows + 1024));
     out.0.extend_from_slice(MAGIC);
     out.integers(&ownership.offsets);
     out.integers(&ownership.cell_owner);
@@ -28,6 +32,20 @@ pub fn encode_derived(derived: &Derived) -> Vec<u8> {
         };
         [*component, location.patch, kind, edge].iter().for_each(|value| out.integer(*value));
         [location.u, location.v, *distance].iter().for_each(|value| out.number(*value));
+    }
+    out.count(seams.lines.len());
+    for FoundLine { vertex, components, direction, bracket, limits, from_inside } in &seams.lines {
+        let [reference, target] = *components;
+        [*vertex, reference, target, u32::from(*from_inside)].iter().for_each(|value| out.integer(*value));
+        [direction, bracket, limits].into_iter().flatten().for_each(|value| out.number(*value));
+    }
+    out.count(seams.points.len());
+    seams.points.iter().flatten().for_each(|value| out.number(*value));
+    out.number(seams.residual);
+    out.count(middles.len());
+    for Location { patch, u, v } in middles {
+        out.integer(*patch);
+        [*u, *v].iter().for_each(|value| out.number(*value));
     }
     out.count(fields.len());
     for Factors { rounding, regularisation, top, lower } in fields {
@@ -58,6 +76,27 @@ pub fn decode_derived(bytes: &[u8]) -> Option<Derived> {
         Some(Attachment { component, location: Location { patch, u, v }, freedom, distance })
     });
     let attachments = attachments.collect::<Option<_>>()?;
+    const LINE: usize = 4 * 4 + 6 * 8;
+    let lines = (0..rest.count(LINE)?).map(|_| {
+        let (vertex, components) = (rest.integer()?, [rest.integer()?, rest.integer()?]);
+        let from_inside = match rest.integer()? {
+            0 => false,
+            1 => true,
+            _ => return None,
+        };
+        let (direction, bracket, limits) = (rest.pair()?, rest.pair()?, rest.pair()?);
+        Some(FoundLine { vertex, components, direction, bracket, limits, from_inside })
+    });
+    let lines = lines.collect::<Option<_>>()?;
+    const POINT: usize = 3 * 8;
+    let points = (0..rest.count(POINT)?)
+        .map(|_| Some(Vector3::new(rest.number()?, rest.number()?, rest.number()?)))
+        .collect::<Option<_>>()?;
+    let seams = FoundSeams { lines, points, residual: rest.number()? };
+    const MIDDLE: usize = 4 + 2 * 8;
+    let middles = (0..rest.count(MIDDLE)?)
+        .map(|_| Some(Location { patch: rest.integer()?, u: rest.number()?, v: rest.number()? }))
+        .collect::<Option<_>>()?;
     const FIELD: usize = 4 * 8;
     let fields = (0..rest.count(FIELD)?).map(|_| {
         let (rounding, regularisation) = (rest.number()?, rest.number()?);
@@ -65,7 +104,7 @@ pub fn decode_derived(bytes: &[u8]) -> Option<Derived> {
     });
     let fields = fields.collect::<Option<_>>()?;
     let ownership = OwnershipParts { offsets, attachments, cell_owner };
-    rest.0.is_empty().then_some(Derived { ownership, fields })
+    rest.0.is_empty().then_some(Derived { ownership, seams, middles, fields })
 }
 
 struct Writer(Vec<u8>);
@@ -111,6 +150,10 @@ impl<'b> Reader<'b> {
         Some(f64::from_le_bytes(self.take(8)?.try_into().ok()?))
     }
 
+    fn pair(&mut self) -> Option<[f64; 2]> {
+        Some([self.number()?, self.number()?])
+    }
+
     /// A count of rows of so many bytes at least, which are all there.
     fn count(&mut self, row: usize) -> Option<usize> {
         let count = usize::try_from(u64::from_le_bytes(self.take(8)?.try_into().ok()?)).ok()?;
@@ -144,6 +187,19 @@ mod tests {
                 attachments: vec![attachment, fixed],
                 cell_owner: vec![1, 1, 0],
             },
+            seams: FoundSeams {
+                lines: vec![FoundLine {
+                    vertex: 9,
+                    components: [1, 0],
+                    direction: [0.0, -2.0],
+                    bracket: [-0.25, 0.5],
+                    limits: [-1.0, 1.5],
+                    from_inside: true,
+                }],
+                points: vec![Vector3::new(1.0, 2.0, 3.0), Vector3::zeros()],
+                residual: 1e-12,
+            },
+            middles: vec![location],
             fields: vec![
                 Factors {
                     rounding: 0.5,

@@ -36,7 +36,7 @@ pub struct Backend {
 }
 
 impl Backend {
-    /// `memory`, a URL such as `s3://bucket/prefix`, or a folder, which is made if there is none.
+    /// `memory`, a URL such as `s3://bucket/prefix`, or a folder.
     pub fn open(location: &str) -> Result<Self, StoreError> {
         if location == "memory" {
             return Ok(Self::in_memory());
@@ -44,7 +44,15 @@ impl Backend {
         if location.contains("://") {
             return Self::remote(location);
         }
-        Self::folder(FilePath::new(location)).map_err(|reason| refused(location, reason))
+        Self::folder(FilePath::new(location)).map_err(|error| refused(location, error.to_string()))
+    }
+
+    /// The same; a folder is made if there is none.
+    pub fn make(location: &str) -> Result<Self, StoreError> {
+        if location != "memory" && !location.contains("://") {
+            std::fs::create_dir_all(location).map_err(|error| refused(location, error.to_string()))?;
+        }
+        Self::open(location)
     }
 
     /// One that ends with the process.
@@ -52,10 +60,9 @@ impl Backend {
         Self { objects: Arc::new(InMemory::new()), prefix: Path::default(), folder: None }
     }
 
-    fn folder(path: &FilePath) -> Result<Self, String> {
-        std::fs::create_dir_all(path).map_err(|error| error.to_string())?;
-        let path = path.canonicalize().map_err(|error| error.to_string())?;
-        let objects = LocalFileSystem::new_with_prefix(&path).map_err(|error| error.to_string())?;
+    fn folder(path: &FilePath) -> Result<Self, Box<dyn std::error::Error>> {
+        let path = path.canonicalize()?;
+        let objects = LocalFileSystem::new_with_prefix(&path)?;
         // Acknowledged means on the disk: file and folder are synced before a write returns.
         let objects = Arc::new(objects.with_fsync(true));
         Ok(Self { objects, prefix: Path::default(), folder: Some(Arc::new(path)) })
@@ -189,6 +196,7 @@ impl Backend {
     }
 }
 
-fn refused(location: &str, reason: impl Into<String>) -> StoreError {
+/// It cannot be opened.
+pub(crate) fn refused(location: &str, reason: impl Into<String>) -> StoreError {
     StoreError::Location { location: location.to_owned(), reason: reason.into() }
 }

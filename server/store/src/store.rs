@@ -10,7 +10,7 @@ use futures::{StreamExt, TryStreamExt, stream};
 use serde::{Serialize, de::DeserializeOwned};
 
 use crate::{
-    backend::Backend,
+    backend::{Backend, refused},
     error::{StoreError, unless_damaged},
     records::{AccessRecord, Manifest, SessionRecord, Shared, seal, seal_bytes, unseal, unseal_bytes},
 };
@@ -56,19 +56,27 @@ impl Store {
     /// # Errors
     /// If it cannot be reached, or holds something else.
     pub async fn open(location: &str) -> Result<Self, StoreError> {
-        let backend = Backend::open(location)?;
-        let refused = |reason: String| StoreError::Location { location: location.to_owned(), reason };
-        match backend.read("format").await {
-            Ok(Some((found, _))) if found == FORMAT.as_bytes() => {}
-            Ok(Some(_)) => return Err(refused(format!("it is not of the format `{FORMAT}`"))),
+        let backend = Backend::make(location)?;
+        if !is_made(&backend, location).await? {
             // One that cannot be written to yet is still good to read from, and errors say so when it comes to writing.
-            Ok(None) => match backend.create("format", Bytes::from_static(FORMAT.as_bytes())).await {
+            match backend.create("format", Bytes::from_static(FORMAT.as_bytes())).await {
                 Ok(_) | Err(StoreError::Full { .. } | StoreError::ReadOnly { .. }) => {}
-                Err(error) => return Err(refused(error.to_string())),
-            },
-            Err(error) => return Err(refused(error.to_string())),
+                Err(error) => return Err(refused(location, error.to_string())),
+            }
         }
         Ok(Self { backend })
+    }
+
+    /// Opens a store that is there, and makes none.
+    ///
+    /// # Errors
+    /// If there is none, it cannot be reached, or holds something else.
+    pub async fn open_existing(location: &str) -> Result<Self, StoreError> {
+        let backend = Backend::open(location)?;
+        match is_made(&backend, location).await? {
+            true => Ok(Self { backend }),
+            false => Err(refused(location, "nothing was ever stored there")),
+        }
     }
 
     /// One that ends with the process.
@@ -388,6 +396,16 @@ impl Store {
 
     async fn append(&self, row: &str, number: u64, record: &impl Serialize) -> Result<bool, StoreError> {
         self.backend.create(&numbered(row, number), seal(record)?).await
+    }
+}
+
+/// Whether a store has been made there.
+async fn is_made(backend: &Backend, location: &str) -> Result<bool, StoreError> {
+    match backend.read("format").await {
+        Ok(Some((found, _))) if found == FORMAT.as_bytes() => Ok(true),
+        Ok(Some(_)) => Err(refused(location, format!("it is not of the format `{FORMAT}`"))),
+        Ok(None) => Ok(false),
+        Err(error) => Err(refused(location, error.to_string())),
     }
 }
 

@@ -97,6 +97,20 @@ async fn is_all_there(store: &Store, id: &str, name: &str) {
     assert!(store.collect(Duration::ZERO, true).await.unwrap().objects.is_empty());
 }
 
+#[tokio::test]
+async fn only_a_place_with_a_store_is_one_that_exists() {
+    let folder = tempfile::tempdir().unwrap();
+    let missing = folder.path().join("missing");
+    let on_disk = missing.to_str().unwrap().to_owned();
+    for place in [Some(on_disk), remote()].into_iter().flatten() {
+        let refused = Store::open_existing(&place).await.unwrap_err();
+        assert!(matches!(&refused, StoreError::Location { location, .. } if *location == place), "{refused}");
+        assert!(!missing.exists());
+        let id = filled(&Store::open(&place).await.unwrap()).await;
+        is_all_there(&Store::open_existing(&place).await.unwrap(), &id, "first").await;
+    }
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
 async fn of_many_who_create_the_same_generation_one_wins() {
     let (_folder, on_disk) = folder().await;

@@ -165,7 +165,7 @@ impl<'a> Merger<'a> {
             let mut grid = HashGrid::new(tolerance, extent);
             let mut target = Vec::with_capacity(draft.positions.len());
             for (vertex, x) in (0..).zip(&draft.positions) {
-                target.push(grid.nearest(x, tolerance, &draft.positions).unwrap_or_else(|| {
+                target.push(grid.nearest(x, &draft.positions).unwrap_or_else(|| {
                     grid.insert(x, vertex);
                     vertex
                 }));
