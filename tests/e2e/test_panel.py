@@ -78,6 +78,8 @@ def test_a_wing_lifts_as_a_wing_does(panels: moldline.panel.Client, configuratio
     assert np.isclose(lift, level.coefficients.lift_slope * np.sin(0.05), rtol=2e-3)
     assert 4.0 < lift / 0.05 < 5.2
     assert abs(raised.disagreement) < 0.05
+    demanded = lift - raised.coefficients.induced_drag * np.sin(0.05)
+    assert np.isclose(raised.coefficients.pressure_lift + raised.wake_lift, demanded * (1 + raised.disagreement), rtol=1e-12)
     elliptic = lift**2 / (np.pi * 8)
     assert 0.9 * elliptic < raised.coefficients.induced_drag < 1.15 * elliptic
     # The lift is the load over the half span, twice.

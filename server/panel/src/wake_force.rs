@@ -111,9 +111,9 @@ fn vortices<const B: usize>(
         .collect()
 }
 
-/// `1 / (r (r - x))`, without cancellation.
+/// `1 / (r (r - x))`, without cancellation; finite on the vortex, too.
 fn fall(r: &Vector3) -> f64 {
-    let (length, aside) = (r.norm(), r.y * r.y + r.z * r.z);
+    let (length, aside) = (r.norm(), (r.y * r.y + r.z * r.z).max(1e-150));
     if r.x > 0.0 { (length + r.x) / (length * aside) } else { 1.0 / (length * (length - r.x)) }
 }
 
