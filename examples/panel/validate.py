@@ -303,7 +303,7 @@ def page(found: Validation) -> str:
         lines += [f"## {name[0].upper()}{name[1:]}", "", f"| {' | '.join(table[0])} |", "|---" * len(table[0]) + "|"]
         lines += [f"| {' | '.join(f'{value:.5g}' for value in row.values())} |" for row in table]
         lines.append("")
-    return "\n".join(lines) + (HERE / "remarks.md").read_text()
+    return "\n".join([*lines, (HERE / "remarks.md").read_text()])
 
 
 def printed(row: Row) -> list[str]:
