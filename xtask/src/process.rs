@@ -18,7 +18,14 @@ pub fn root() -> &'static Path {
 
 /// The cargo that runs this program.
 pub fn cargo() -> Command {
-    command(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
+    let mut cargo = command(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
+    // What cargo tells this program of its own package: with it, build scripts that ask for such things would run again, and much
+    // be built anew, whenever this program and people call cargo in turn.
+    let of_package = |name: &str| name.starts_with("CARGO_PKG_") || name.starts_with("CARGO_MANIFEST_");
+    for (name, _) in env::vars_os().filter(|(name, _)| name.to_str().is_some_and(of_package)) {
+        cargo.env_remove(name);
+    }
+    cargo
 }
 
 /// A program, run in the repository's root.
