@@ -102,10 +102,10 @@ async fn only_a_place_with_a_store_is_one_that_exists() {
     let folder = tempfile::tempdir().unwrap();
     let missing = folder.path().join("missing");
     let on_disk = missing.to_str().unwrap().to_owned();
-    for place in [Some(on_disk), remote()].into_iter().flatten() {
+    for place in [Some(on_disk.clone()), remote()].into_iter().flatten() {
         let refused = Store::open_existing(&place).await.unwrap_err();
         assert!(matches!(&refused, StoreError::Location { location, .. } if *location == place), "{refused}");
-        assert!(!missing.exists());
+        assert!(place != on_disk || !missing.exists());
         let id = filled(&Store::open(&place).await.unwrap()).await;
         is_all_there(&Store::open_existing(&place).await.unwrap(), &id, "first").await;
     }
