@@ -57,7 +57,7 @@ const LANES: usize = 8;
 const TILE: usize = 128;
 /// Centres whose kernel values are formed at once when there are many columns.
 const PANEL: usize = 256;
-/// Columns up to which kernel values are formed and used in registers, and triangular systems are solved row by row.
+/// Columns up to which kernel values are formed and used in registers, and rows of triangular systems are shared out.
 const FEW: usize = 3;
 /// Columns solved by one task.
 const COLUMNS: usize = 16;
@@ -469,7 +469,8 @@ impl RadialBasis {
     /// Solves with the Cholesky factor, for rows beyond the first four.
     fn solve_factor(&self, data: &mut Mat<f64>) {
         let (size, width) = (self.factor.nrows(), data.ncols());
-        if width <= FEW {
+        // Of the longer sums rounding leaves a little more, which is refined away.
+        if self.kernel == Kernel::Cubic && width <= FEW {
             let mut tiles = Tiles::zeros(size, width);
             for column in 0..width {
                 let data = &data.col_as_slice(column)[AFFINE..];
