@@ -206,12 +206,9 @@ impl Setup {
             &found.lines,
             monitor,
         )?;
-        let FoundSeams { points: seam_points, residual: seam_residual, .. } =
-            if found.points.len() == seams.vertices.len() && found.lines == found_lines(&seams) {
-                found
-            } else {
-                find_seams(&seams, &reference, monitor)?
-            };
+        let fits = found.points.len() == seams.vertices.len() && found.lines == found_lines(&seams);
+        let (seam_points, seam_residual) =
+            if fits { (found.points, found.residual) } else { find_seams(&seams, &reference, monitor)? };
         let mut positions: Vec<Vector3> = (0..mesh.vertices.len() as u32)
             .map(|v| {
                 let own = &ownership.of(v)[0];
@@ -534,21 +531,18 @@ fn refuse_holes(
     }
 }
 
-/// Searches the seams in the reference state.
+/// Where the search finds the seam vertices in the reference state, and the largest distance of such a point to its components.
 fn find_seams(
     seams: &SeamSolver,
     reference: &[Body],
     monitor: &dyn Monitor,
-) -> Result<FoundSeams, SetupError> {
+) -> Result<(Vec<Vector3>, f64), SetupError> {
     let points = seams.eval(reference, reference, monitor).map_err(|error| match error {
         DeformError::Cancelled => SetupError::Cancelled,
         other => SetupError::ReferenceSeam(Box::new(other)),
     })?;
-    Ok(FoundSeams {
-        lines: Vec::new(),
-        points: points.iter().map(|point| point.position).collect(),
-        residual: points.iter().map(|point| point.residual).fold(0.0, f64::max),
-    })
+    let residual = points.iter().map(|point| point.residual).fold(0.0, f64::max);
+    Ok((points.iter().map(|point| point.position).collect(), residual))
 }
 
 fn group_mask(mesh: &SurfaceMesh, names: &[String]) -> Vec<bool> {
