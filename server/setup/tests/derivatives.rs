@@ -155,10 +155,7 @@ fn products_agree_with_differences_and_with_their_transposes() {
             let design = design(&setup, 0.35, &mut random);
             let linearisation = setup.linearise(&design, &Silent).unwrap();
             let gap = dot_product_gap(&linearisation, 3, &mut random);
-            // Sums over cubic functions of close centres cancel: their rounding is thousands of times that of the linear ones.
-            let cubic = setup.options().kernel() == Kernel::Cubic;
-            let bound = if cubic { 1e-10 } else { 1e-12 };
-            assert!(gap <= bound, "{folder}, {name}: dot products differ by {gap:e}");
+            assert!(gap <= 1e-12, "{folder}, {name}: dot products differ by {gap:e}");
             for (i, variable) in setup.parameterisation().variables().iter().enumerate() {
                 let mut direction = vec![0.0; design.len()];
                 direction[i] = 1.0;

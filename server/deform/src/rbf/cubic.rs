@@ -5,8 +5,9 @@
 //! transformations of matrix multiplication, Numerical Algorithms 59, 2012). What remains, `k_1 w_2 + k_2 w`, is
 //! `2^-b` times as large, and so is its rounding; b is about 20.
 //!
-//! Kernel values are formed with some 75 bits. Coordinates are cut in two as well, so that `t - s = d_1 + d_2` and `sum d_1^2` is
-//! exact; then `r^2 = sum d_1^2 + sum (2 d_1 + d_2) d_2`, and the square root is followed by one correction.
+//! Kernel values are formed with some 75 bits. Coordinates are cut in two as well, so that `t - s = d_1 + d_2` and `q = sum d_1^2`
+//! is exact; then `r^2 = q + e` with `e = sum (2 d_1 + d_2) d_2`. From any `r` near the root, `t = (q - r^2) + e` is what it is off by
+//! in the square, and `r^3 + 3/2 r t = r q + r (e + t / 2)` the cube, beyond which there is nothing left.
 
 use faer::{Accum, MatMut, MatRef, Par, linalg::matmul::matmul};
 use moldline_geometry::Block;
@@ -14,12 +15,12 @@ use moldline_spline::Vector3;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-use super::{AFFINE, Cloud, FEW, PANEL, Part, TILE, monomials};
+use super::{AFFINE, Cloud, FEW, PANEL, Part, TILE, largest, monomials};
 
 /// Bits of the first parts of coordinates: three squares of their differences have one more than twice as many, and two.
 const COORDINATE_BITS: i32 = 25;
-/// Sources whose kernel values are used at once by all vectors of a tile: what they are fits the innermost cache.
-const BLOCK: usize = 64;
+/// Sources whose kernel values are used at once by all vectors of a tile: spread over their lanes, they fit the innermost cache.
+const BLOCK: usize = 16;
 
 /// Sums, a row for each target and a column for each column of weights.
 pub(super) struct Sums {
@@ -133,10 +134,6 @@ impl Weights {
     }
 }
 
-fn largest(values: &[f64]) -> f64 {
-    values.iter().fold(0.0, |largest, x| x.abs().max(largest))
-}
-
 /// The sums at each target.
 pub(super) fn sums(targets: &[Vector3], sources: &Cloud, leading: &Part, rest: Option<&Part>) -> Sums {
     let columns = leading.columns();
@@ -150,7 +147,7 @@ pub(super) fn sums(targets: &[Vector3], sources: &Cloud, leading: &Part, rest: O
     let reach = points.iter().map(Vector3::norm).fold(0.0, f64::max);
     let farthest = targets.iter().map(Vector3::amax).fold(reach, f64::max);
     let cut = Cut::new(2.0 * farthest, COORDINATE_BITS);
-    let split: Vec<Split> = points.iter().map(|s| Split::new(s, cut)).collect();
+    let split: Vec<Split<f64>> = points.iter().map(|s| Split::new(s, cut)).collect();
     let tile = |targets: &[Vector3]| Tile::new(targets, cut, reach, bits);
     let tiles = targets
         .par_chunks(TILE)
@@ -172,7 +169,7 @@ type Task<'a> = ((&'a [Vector3], &'a mut [f64]), &'a mut [f64]);
 fn few<'a, const N: usize>(
     tasks: impl ParallelIterator<Item = Task<'a>>,
     tile: impl Fn(&[Vector3]) -> Tile + Sync,
-    sources: &[Split],
+    sources: &[Split<f64>],
     weights: &Weights,
 ) {
     let arch = Arch::new();
@@ -184,9 +181,9 @@ fn few<'a, const N: usize>(
         let [firsts, rests] = arch.dispatch(Radial { tile: &tile, sources: &sources });
         let rows = exact.chunks_exact_mut(N).zip(rest.chunks_exact_mut(N));
         for (i, ((exact, rest), target)) in rows.zip(targets).enumerate() {
-            (0..N).for_each(|c| (exact[c], rest[c]) = (firsts[c][i], rests[c][i]));
+            (0..N).for_each(|c| (exact[c], rest[c]) = (firsts[c].0[i], rests[c].0[i]));
             for (value, [w_1, w_2, w]) in monomials(target).into_iter().zip(&affine) {
-                let [first, second] = Cut(tile.cuts[i]).both(value);
+                let [first, second] = Cut(tile.cuts.0[i]).both(value);
                 for c in 0..N {
                     exact[c] += first * w_1[c];
                     rest[c] += first * w_2[c] + second * w[c];
@@ -200,7 +197,7 @@ fn few<'a, const N: usize>(
 fn many<'a>(
     tasks: impl IndexedParallelIterator<Item = Task<'a>>,
     tile: impl Fn(&[Vector3]) -> Tile + Sync,
-    sources: &[Split],
+    sources: &[Split<f64>],
     weights: &Weights,
     columns: usize,
 ) {
@@ -236,151 +233,217 @@ fn many<'a>(
     );
 }
 
-/// A point whose coordinates are cut in two.
+/// Points whose coordinates are cut in two: one, or as many as a number of type `T` has parts. Vectors do not cross cache lines.
 #[derive(Clone, Copy)]
-struct Split {
-    first: [f64; 3],
-    second: [f64; 3],
+#[repr(C, align(64))]
+struct Split<T> {
+    first: [T; 3],
+    second: [T; 3],
+    /// `2 first + second`, rounded.
+    twice: [T; 3],
 }
 
-impl Split {
+impl Split<f64> {
     fn new(point: &Vector3, cut: Cut) -> Self {
         let both: [[f64; 2]; 3] = std::array::from_fn(|axis| cut.both(point[axis]));
-        Self { first: both.map(|[first, _]| first), second: both.map(|[_, second]| second) }
+        Self {
+            first: both.map(|[first, _]| first),
+            second: both.map(|[_, second]| second),
+            twice: both.map(|[first, second]| 2.0 * first + second),
+        }
+    }
+}
+
+impl<T> Split<T> {
+    #[inline(always)]
+    fn map<U>(&self, mut f: impl FnMut(&T) -> U) -> Split<U> {
+        let [[a, b, c], [d, e, g], [h, k, l]] = [&self.first, &self.second, &self.twice];
+        Split { first: [f(a), f(b), f(c)], second: [f(d), f(e), f(g)], twice: [f(h), f(k), f(l)] }
     }
 }
 
 /// A source with its weights: first parts, second parts and wholes.
 struct Source<const N: usize> {
-    at: Split,
+    at: Split<f64>,
     weights: [[f64; N]; 3],
+}
+
+/// Numbers of a tile's targets.
+#[derive(Clone, Copy)]
+#[repr(C, align(64))]
+struct Row([f64; TILE]);
+
+impl Row {
+    const ZEROS: Self = Self([0.0; TILE]);
+
+    #[inline(always)]
+    fn get<S: Simd>(&self, at: usize) -> S::f64s {
+        S::as_simd_f64s(&self.0).0[at]
+    }
+
+    #[inline(always)]
+    fn set<S: Simd>(&mut self, at: usize, values: S::f64s) {
+        S::as_mut_simd_f64s(&mut self.0).0[at] = values;
+    }
 }
 
 /// Targets of one task.
 struct Tile {
-    /// Of the coordinates, one array for each.
-    first: [[f64; TILE]; 3],
-    second: [[f64; TILE]; 3],
+    at: Split<Row>,
     /// How each of them cuts its kernel values.
-    cuts: [f64; TILE],
+    cuts: Row,
 }
 
 impl Tile {
     /// `coordinates` cuts these; `reach`: distance of the farthest source from the origin.
     fn new(targets: &[Vector3], coordinates: Cut, reach: f64, bits: i32) -> Self {
-        let mut tile = Self { first: [[0.0; TILE]; 3], second: [[0.0; TILE]; 3], cuts: [0.0; TILE] };
+        let zeros = [Row::ZEROS; 3];
+        let mut tile = Self { at: Split { first: zeros, second: zeros, twice: zeros }, cuts: Row::ZEROS };
         for (i, target) in targets.iter().enumerate() {
             let split = Split::new(target, coordinates);
-            (0..3).for_each(|axis| tile.first[axis][i] = split.first[axis]);
-            (0..3).for_each(|axis| tile.second[axis][i] = split.second[axis]);
+            for axis in 0..3 {
+                tile.at.first[axis].0[i] = split.first[axis];
+                tile.at.second[axis].0[i] = split.second[axis];
+                tile.at.twice[axis].0[i] = split.twice[axis];
+            }
             // Not less than any kernel value, nor than any of the affine functions.
-            tile.cuts[i] = Cut::new((1.001 * (target.norm() + reach)).powi(3).max(1.0), bits).0;
+            tile.cuts.0[i] = Cut::new((1.001 * (target.norm() + reach)).powi(3).max(1.0), bits).0;
         }
         tile
+    }
+
+    /// From targets of one vector, without roots.
+    #[inline(always)]
+    fn distances<S: Simd>(&self, simd: S, at: usize, sources: &[Split<S::f64s>], out: &mut [Distance<S>]) {
+        let targets = self.at.map(
+            #[inline(always)]
+            |row| row.get::<S>(at),
+        );
+        for (out, source) in out.iter_mut().zip(sources) {
+            *out = Distance::new(simd, &targets, source);
+        }
     }
 
     /// First and second parts of the affine functions, one after the other; returns how many there are.
     fn affine(&self, targets: &[Vector3], firsts: &mut [f64], seconds: &mut [f64]) -> usize {
         for (i, target) in targets.iter().enumerate() {
             for (k, value) in monomials(target).into_iter().enumerate() {
-                [firsts[k * TILE + i], seconds[k * TILE + i]] = Cut(self.cuts[i]).both(value);
+                [firsts[k * TILE + i], seconds[k * TILE + i]] = Cut(self.cuts.0[i]).both(value);
             }
         }
         AFFINE
     }
 }
 
-/// As many targets as a vector has lanes.
-struct Vector<S: Simd> {
-    simd: S,
-    first: [S::f64s; 3],
-    second: [S::f64s; 3],
-    cut: S::f64s,
-}
-
-impl<S: Simd> Vector<S> {
-    #[inline(always)]
-    fn new(simd: S, tile: &Tile, at: usize) -> Self {
-        let part = |values: &[f64; TILE]| S::as_simd_f64s(values).0[at];
-        let [x, y, z] = &tile.first;
-        let [u, v, w] = &tile.second;
-        Self {
-            simd,
-            first: [part(x), part(y), part(z)],
-            second: [part(u), part(v), part(w)],
-            cut: part(&tile.cuts),
-        }
-    }
-
-    /// Calls `f(j, [first, second])` with the parts of the kernel values for source after source, `roots` long at most. Square
-    /// roots take long: they are all begun before the first of them is used.
-    #[inline(always)]
-    fn kernels<'a>(
-        &self,
-        sources: impl Iterator<Item = &'a Split>,
-        roots: &mut [Root<S>],
-        mut f: impl FnMut(usize, [S::f64s; 2]),
-    ) {
-        let mut count = 0;
-        for (root, source) in roots.iter_mut().zip(sources) {
-            *root = self.root(source);
-            count += 1;
-        }
-        for (j, root) in roots[..count].iter().enumerate() {
-            let (value, rounded) = root.cube(self.simd);
-            let first = self.simd.sub_f64s(self.simd.add_f64s(value, self.cut), self.cut);
-            f(j, [first, self.simd.add_f64s(self.simd.sub_f64s(value, first), rounded)]);
-        }
-    }
-
-    /// The distance from a source. Squares of first parts have an exact sum.
-    #[inline(always)]
-    fn root(&self, source: &Split) -> Root<S> {
-        let simd = self.simd;
-        let less = |x: S::f64s, s: f64| simd.sub_f64s(x, simd.splat_f64s(s));
-        let fma = |a, b, c| simd.mul_add_f64s(a, b, c);
-        let ([x, y, z], [u, v, w]) = (self.first, self.second);
-        let ([a, b, c], [d, e, f]) = (source.first, source.second);
-        let ([x, y, z], [u, v, w]) =
-            ([less(x, a), less(y, b), less(z, c)], [less(u, d), less(v, e), less(w, f)]);
-        let two = simd.splat_f64s(2.0);
-        let squares = fma(z, z, fma(y, y, simd.mul_f64s(x, x)));
-        let small = fma(fma(two, z, w), w, fma(fma(two, y, v), v, simd.mul_f64s(fma(two, x, u), u)));
-        // Rounding may take it below zero where first parts differ and wholes hardly do.
-        let squared = simd.max_f64s(simd.add_f64s(squares, small), simd.splat_f64s(0.0));
-        let rounded = simd.sub_f64s(small, simd.sub_f64s(squared, squares));
-        Root { squared, rounded, r: simd.sqrt_f64s(squared) }
-    }
-}
-
-/// A distance: `squared + rounded` is its square, `r` the root of `squared`.
+/// A distance: `squares + small` is its square, `r` nearly the root of that, or what the root is to be taken of.
 #[derive(Clone, Copy)]
-struct Root<S: Simd> {
-    squared: S::f64s,
-    rounded: S::f64s,
+#[repr(C, align(32))]
+struct Distance<S: Simd> {
+    squares: S::f64s,
+    small: S::f64s,
     r: S::f64s,
 }
 
-impl<S: Simd> Root<S> {
+impl<S: Simd> Distance<S> {
     #[inline(always)]
     fn zero(simd: S) -> Self {
         let zero = simd.splat_f64s(0.0);
-        Self { squared: zero, rounded: zero, r: zero }
+        Self { squares: zero, small: zero, r: zero }
     }
 
-    /// Its third power, and what is rounded off.
+    /// Without its root.
     #[inline(always)]
-    fn cube(&self, simd: S) -> (S::f64s, S::f64s) {
-        // With squared + rounded = r^2 + d: (r^2 + d)^(3/2) = r^3 + 3/2 r d = r squared + r (d / 2 + rounded), beyond which there
-        // is nothing left.
-        let Self { squared, rounded, r } = *self;
-        let minus = simd.neg_f64s(r);
-        let d = simd.add_f64s(simd.mul_add_f64s(minus, r, squared), rounded);
-        let value = simd.mul_f64s(r, squared);
-        let product = simd.neg_f64s(simd.mul_add_f64s(minus, squared, value));
-        let half = simd.mul_add_f64s(simd.splat_f64s(0.5), d, rounded);
-        (value, simd.mul_add_f64s(r, half, product))
+    fn new(simd: S, target: &Split<S::f64s>, source: &Split<S::f64s>) -> Self {
+        let first = difference(simd, target.first, source.first);
+        let squares = dot(simd, first, first);
+        let second = difference(simd, target.second, source.second);
+        let small = dot(simd, difference(simd, target.twice, source.twice), second);
+        // Rounding may take it below zero where first parts differ and wholes hardly do.
+        let r = simd.max_f64s(simd.add_f64s(squares, small), simd.splat_f64s(0.0));
+        Self { squares, small, r }
     }
+
+    #[inline(always)]
+    fn take_root(&mut self, simd: S) {
+        self.r = simd.sqrt_f64s(self.r);
+    }
+
+    /// Its third power, cut in two.
+    #[inline(always)]
+    fn cube(&self, simd: S, cut: S::f64s) -> [S::f64s; 2] {
+        let Self { squares, small, r } = *self;
+        let off = simd.add_f64s(simd.mul_add_f64s(simd.neg_f64s(r), r, squares), small);
+        let more = simd.mul_add_f64s(simd.splat_f64s(0.5), off, small);
+        let first = simd.sub_f64s(simd.mul_add_f64s(r, squares, cut), cut);
+        let second = simd.mul_add_f64s(r, squares, simd.neg_f64s(first));
+        [first, simd.mul_add_f64s(r, more, second)]
+    }
+}
+
+#[inline(always)]
+fn difference<S: Simd>(simd: S, a: [S::f64s; 3], b: [S::f64s; 3]) -> [S::f64s; 3] {
+    [simd.sub_f64s(a[0], b[0]), simd.sub_f64s(a[1], b[1]), simd.sub_f64s(a[2], b[2])]
+}
+
+#[inline(always)]
+fn dot<S: Simd>(simd: S, a: [S::f64s; 3], b: [S::f64s; 3]) -> S::f64s {
+    let two = simd.mul_add_f64s(a[1], b[1], simd.mul_f64s(a[0], b[0]));
+    simd.mul_add_f64s(a[2], b[2], two)
+}
+
+/// Some sources, each in all lanes, and their distances from this and from the next vector of targets.
+struct Near<S: Simd> {
+    simd: S,
+    at: [Split<S::f64s>; BLOCK],
+    distances: [[Distance<S>; BLOCK]; 2],
+}
+
+impl<S: Simd> Near<S> {
+    #[inline(always)]
+    fn new(simd: S) -> Self {
+        let zeros = [simd.splat_f64s(0.0); 3];
+        let at = [Split { first: zeros, second: zeros, twice: zeros }; BLOCK];
+        Self { simd, at, distances: [[Distance::zero(simd); BLOCK]; 2] }
+    }
+
+    /// Calls `f(at, these, next)` with the distances from vector after vector of the tile. Of those from the next one it is to take
+    /// the roots, one with each that it uses: a root takes long, but hinders nothing else.
+    #[inline(always)]
+    fn each_vector<'a>(
+        &mut self,
+        tile: &Tile,
+        sources: impl ExactSizeIterator<Item = &'a Split<f64>>,
+        mut f: impl FnMut(usize, &[Distance<S>], &mut [Distance<S>]),
+    ) {
+        let simd = self.simd;
+        let count = sources.len();
+        for (at, source) in self.at.iter_mut().zip(sources) {
+            *at = spread(simd, source);
+        }
+        let at = &self.at[..count];
+        let [these, next] = &mut self.distances;
+        let [mut these, mut next] = [&mut these[..count], &mut next[..count]];
+        tile.distances(simd, 0, at, these);
+        these.iter_mut().for_each(
+            #[inline(always)]
+            |distance| distance.take_root(simd),
+        );
+        let vectors = TILE / S::F64_LANES;
+        for vector in 0..vectors {
+            tile.distances(simd, (vector + 1).min(vectors - 1), at, next);
+            f(vector, these, next);
+            std::mem::swap(&mut these, &mut next);
+        }
+    }
+}
+
+/// A point in all lanes.
+#[inline(always)]
+fn spread<S: Simd>(simd: S, point: &Split<f64>) -> Split<S::f64s> {
+    point.map(
+        #[inline(always)]
+        |x| simd.splat_f64s(*x),
+    )
 }
 
 /// Sums over the sources at all targets of a tile, exact ones and the rest, column after column.
@@ -390,34 +453,48 @@ struct Radial<'a, const N: usize> {
 }
 
 impl<const N: usize> WithSimd for Radial<'_, N> {
-    type Output = [[[f64; TILE]; N]; 2];
+    type Output = [[Row; N]; 2];
 
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
-        let mut sums = [[[0.0; TILE]; N]; 2];
-        let mut roots = [Root::zero(simd); BLOCK];
+        let zero = simd.splat_f64s(0.0);
+        let mut near = Near::new(simd);
+        let mut weights = [[[zero; N]; 3]; BLOCK];
+        let mut sums = [[Row::ZEROS; N]; 2];
         for sources in self.sources.chunks(BLOCK) {
-            for at in 0..TILE / S::F64_LANES {
-                let vector = Vector::new(simd, self.tile, at);
-                let mut exact = [simd.splat_f64s(0.0); N];
-                let mut rest = exact;
-                for c in 0..N {
-                    exact[c] = S::as_simd_f64s(&sums[0][c]).0[at];
-                    rest[c] = S::as_simd_f64s(&sums[1][c]).0[at];
-                }
-                vector.kernels(sources.iter().map(|s| &s.at), &mut roots, |j, [first, second]| {
-                    let [w_1, w_2, w] = &sources[j].weights;
-                    for c in 0..N {
-                        exact[c] = simd.mul_add_f64s(first, simd.splat_f64s(w_1[c]), exact[c]);
-                        rest[c] = simd.mul_add_f64s(first, simd.splat_f64s(w_2[c]), rest[c]);
-                        rest[c] = simd.mul_add_f64s(second, simd.splat_f64s(w[c]), rest[c]);
-                    }
-                });
-                for c in 0..N {
-                    S::as_mut_simd_f64s(&mut sums[0][c]).0[at] = exact[c];
-                    S::as_mut_simd_f64s(&mut sums[1][c]).0[at] = rest[c];
+            for (weights, source) in weights.iter_mut().zip(sources) {
+                for (weights, of) in weights.iter_mut().zip(&source.weights) {
+                    (0..N).for_each(
+                        #[inline(always)]
+                        |c| weights[c] = simd.splat_f64s(of[c]),
+                    );
                 }
             }
+            near.each_vector(
+                self.tile,
+                sources.iter().map(|source| &source.at),
+                #[inline(always)]
+                |at, these, next| {
+                    let cut = self.tile.cuts.get::<S>(at);
+                    let [mut exact, mut rest] = [[zero; N]; 2];
+                    for c in 0..N {
+                        (exact[c], rest[c]) = (sums[0][c].get::<S>(at), sums[1][c].get::<S>(at));
+                    }
+                    for ((distance, [w_1, w_2, w]), next) in these.iter().zip(&weights).zip(next) {
+                        next.take_root(simd);
+                        let [first, second] = distance.cube(simd, cut);
+                        for c in 0..N {
+                            exact[c] = simd.mul_add_f64s(first, w_1[c], exact[c]);
+                            let more = simd.mul_add_f64s(second, w[c], simd.mul_f64s(first, w_2[c]));
+                            rest[c] = simd.add_f64s(rest[c], more);
+                        }
+                    }
+                    for c in 0..N {
+                        sums[0][c].set::<S>(at, exact[c]);
+                        sums[1][c].set::<S>(at, rest[c]);
+                    }
+                },
+            );
         }
         sums
     }
@@ -426,7 +503,7 @@ impl<const N: usize> WithSimd for Radial<'_, N> {
 /// First and second parts of the kernel values of a tile, source after source.
 struct Panel<'a> {
     tile: &'a Tile,
-    sources: &'a [Split],
+    sources: &'a [Split<f64>],
     firsts: &'a mut [f64],
     seconds: &'a mut [f64],
 }
@@ -438,15 +515,21 @@ impl WithSimd for Panel<'_> {
     fn with_simd<S: Simd>(self, simd: S) {
         let vectors = TILE / S::F64_LANES;
         let (firsts, seconds) = (S::as_mut_simd_f64s(self.firsts).0, S::as_mut_simd_f64s(self.seconds).0);
-        let mut roots = [Root::zero(simd); BLOCK];
-        for (block, sources) in self.sources.chunks(BLOCK).enumerate() {
-            for at in 0..vectors {
-                let vector = Vector::new(simd, self.tile, at);
-                vector.kernels(sources.iter(), &mut roots, |j, [first, second]| {
-                    let to = (block * BLOCK + j) * vectors + at;
-                    (firsts[to], seconds[to]) = (first, second);
-                });
-            }
+        let mut near = Near::new(simd);
+        let parts = firsts.chunks_mut(BLOCK * vectors).zip(seconds.chunks_mut(BLOCK * vectors));
+        for (sources, (firsts, seconds)) in self.sources.chunks(BLOCK).zip(parts) {
+            near.each_vector(
+                self.tile,
+                sources.iter(),
+                #[inline(always)]
+                |at, these, next| {
+                    let cut = self.tile.cuts.get::<S>(at);
+                    for (j, (distance, next)) in these.iter().zip(next).enumerate() {
+                        next.take_root(simd);
+                        [firsts[j * vectors + at], seconds[j * vectors + at]] = distance.cube(simd, cut);
+                    }
+                },
+            );
         }
     }
 }
@@ -491,17 +574,16 @@ mod tests {
 
         #[inline(always)]
         fn with_simd<S: Simd>(self, simd: S) -> [f64; 2] {
-            let mut tile = Tile::new(&[self.target], self.coordinates, 0.0, 20);
-            tile.cuts[0] = self.cut.0;
-            let mut parts = [[0.0; TILE]; 2];
-            let source = Split::new(&self.source, self.coordinates);
-            let mut roots = [Root::zero(simd)];
-            Vector::new(simd, &tile, 0).kernels([&source].into_iter(), &mut roots, |_, kernel| {
-                for (part, value) in parts.iter_mut().zip(kernel) {
-                    S::as_mut_simd_f64s(part).0[0] = value;
-                }
-            });
-            parts.map(|part| part[0])
+            let [target, source] =
+                [&self.target, &self.source].map(|point| spread(simd, &Split::new(point, self.coordinates)));
+            let mut distance = Distance::new(simd, &target, &source);
+            distance.take_root(simd);
+            let parts = distance.cube(simd, simd.splat_f64s(self.cut.0));
+            let mut row = Row::ZEROS;
+            parts.map(|part| {
+                row.set::<S>(0, part);
+                row.0[0]
+            })
         }
     }
 
