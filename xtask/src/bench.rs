@@ -44,8 +44,10 @@ pub fn bench(large: bool, large_folder: Option<PathBuf>) -> Outcome {
         if name.contains("solve and evaluate") {
             row["peer"] = json!({ "name": "scipy RBFInterpolator, evaluation alone", "value": peer });
             let ratio = peer.zip(row["value"].as_f64()).map(|(peer, own)| peer / own);
+            // The goal is for the whole machine.
+            let goal = if name.ends_with(" 2 threads") { ">= 5" } else { "measured" };
             let name = name.replace("solve and evaluate", "times as fast as scipy");
-            speeds.push(json!({ "name": name, "value": ratio, "unit": "1", "goal": ">= 5" }));
+            speeds.push(json!({ "name": name, "value": ratio, "unit": "1", "goal": goal }));
         }
     }
     rows.append(&mut speeds);
