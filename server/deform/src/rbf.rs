@@ -63,8 +63,8 @@ const FEW: usize = 3;
 const COLUMNS: usize = 16;
 /// Refinements of a solution with the cubic kernel, at most: each leaves a ten-thousandth or less.
 const REFINEMENTS: usize = 3;
-/// The one that changes a solution by no more than this part leaves less than sums round, whose rounding is so much less than that
-/// of doubles.
+/// One that changes a solution by no more than this part is the last: of what doubles round, sums keep this part about, and the next
+/// one would leave no less.
 const REFINED: f64 = 1.0 / (1 << 20) as f64;
 /// c of the linear kernel, as a fraction of the extent of the centres ...
 pub const ROUNDING: f64 = 0.002;

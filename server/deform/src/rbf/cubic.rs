@@ -173,16 +173,15 @@ fn few<'a, const N: usize>(
     weights: &Weights,
 ) {
     let arch = Arch::new();
-    let sources: Vec<Source<N>> =
-        sources.iter().enumerate().map(|(j, &at)| Source { at, weights: weights.row(j) }).collect();
-    let affine: [[[f64; N]; 3]; AFFINE] = std::array::from_fn(|k| weights.row(sources.len() + k));
+    let rows: Vec<[[f64; N]; 3]> = (0..weights.rows).map(|row| weights.row(row)).collect();
+    let (weights, affine) = rows.split_at(sources.len());
     tasks.for_each(|((targets, exact), rest)| {
         let tile = tile(targets);
-        let [firsts, rests] = arch.dispatch(Radial { tile: &tile, sources: &sources });
+        let [firsts, rests] = arch.dispatch(Radial { tile: &tile, sources, weights });
         let rows = exact.chunks_exact_mut(N).zip(rest.chunks_exact_mut(N));
         for (i, ((exact, rest), target)) in rows.zip(targets).enumerate() {
             (0..N).for_each(|c| (exact[c], rest[c]) = (firsts[c].0[i], rests[c].0[i]));
-            for (value, [w_1, w_2, w]) in monomials(target).into_iter().zip(&affine) {
+            for (value, [w_1, w_2, w]) in monomials(target).into_iter().zip(affine) {
                 let [first, second] = Cut(tile.cuts.0[i]).both(value);
                 for c in 0..N {
                     exact[c] += first * w_1[c];
@@ -260,12 +259,6 @@ impl<T> Split<T> {
         let [[a, b, c], [d, e, g], [h, k, l]] = [&self.first, &self.second, &self.twice];
         Split { first: [f(a), f(b), f(c)], second: [f(d), f(e), f(g)], twice: [f(h), f(k), f(l)] }
     }
-}
-
-/// A source with its weights: first parts, second parts and wholes.
-struct Source<const N: usize> {
-    at: Split<f64>,
-    weights: [[f64; N]; 3],
 }
 
 /// Numbers of a tile's targets.
@@ -409,20 +402,18 @@ impl<S: Simd> Near<S> {
     /// Calls `f(at, these, next)` with the distances from vector after vector of the tile. Of those from the next one it is to take
     /// the roots, one with each that it uses: a root takes long, but hinders nothing else.
     #[inline(always)]
-    fn each_vector<'a>(
+    fn each_vector(
         &mut self,
         tile: &Tile,
-        sources: impl ExactSizeIterator<Item = &'a Split<f64>>,
+        sources: &[Split<f64>],
         mut f: impl FnMut(usize, &[Distance<S>], &mut [Distance<S>]),
     ) {
         let simd = self.simd;
-        let count = sources.len();
         for (at, source) in self.at.iter_mut().zip(sources) {
             *at = spread(simd, source);
         }
-        let at = &self.at[..count];
-        let [these, next] = &mut self.distances;
-        let [mut these, mut next] = [&mut these[..count], &mut next[..count]];
+        let at = &self.at[..sources.len()];
+        let [mut these, mut next] = self.distances.each_mut().map(|some| &mut some[..at.len()]);
         tile.distances(simd, 0, at, these);
         these.iter_mut().for_each(
             #[inline(always)]
@@ -449,7 +440,9 @@ fn spread<S: Simd>(simd: S, point: &Split<f64>) -> Split<S::f64s> {
 /// Sums over the sources at all targets of a tile, exact ones and the rest, column after column.
 struct Radial<'a, const N: usize> {
     tile: &'a Tile,
-    sources: &'a [Source<N>],
+    sources: &'a [Split<f64>],
+    /// First parts, second parts and wholes of each source.
+    weights: &'a [[[f64; N]; 3]],
 }
 
 impl<const N: usize> WithSimd for Radial<'_, N> {
@@ -461,9 +454,9 @@ impl<const N: usize> WithSimd for Radial<'_, N> {
         let mut near = Near::new(simd);
         let mut weights = [[[zero; N]; 3]; BLOCK];
         let mut sums = [[Row::ZEROS; N]; 2];
-        for sources in self.sources.chunks(BLOCK) {
-            for (weights, source) in weights.iter_mut().zip(sources) {
-                for (weights, of) in weights.iter_mut().zip(&source.weights) {
+        for (sources, own) in self.sources.chunks(BLOCK).zip(self.weights.chunks(BLOCK)) {
+            for (weights, own) in weights.iter_mut().zip(own) {
+                for (weights, of) in weights.iter_mut().zip(own) {
                     (0..N).for_each(
                         #[inline(always)]
                         |c| weights[c] = simd.splat_f64s(of[c]),
@@ -472,7 +465,7 @@ impl<const N: usize> WithSimd for Radial<'_, N> {
             }
             near.each_vector(
                 self.tile,
-                sources.iter().map(|source| &source.at),
+                sources,
                 #[inline(always)]
                 |at, these, next| {
                     let cut = self.tile.cuts.get::<S>(at);
@@ -520,7 +513,7 @@ impl WithSimd for Panel<'_> {
         for (sources, (firsts, seconds)) in self.sources.chunks(BLOCK).zip(parts) {
             near.each_vector(
                 self.tile,
-                sources.iter(),
+                sources,
                 #[inline(always)]
                 |at, these, next| {
                     let cut = self.tile.cuts.get::<S>(at);
