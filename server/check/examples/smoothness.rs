@@ -6,7 +6,7 @@
 
 use std::{error::Error, fs, path::Path, sync::Arc};
 
-use moldline_deform::{Options, OuterMoldLine, Setup, Silent};
+use moldline_deform::{NoMonitor, Options, OuterMoldLine, Setup};
 use moldline_setup::{Limits, read_folder, read_setup};
 use serde_json::{Value, json};
 
@@ -36,7 +36,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         )?
         .input;
         change(&mut input.options);
-        let setup = Arc::new(Setup::build(input, &Silent)?);
+        let setup = Arc::new(Setup::build(input, &NoMonitor)?);
         for variable in ["wing.translation", "htail.rotation", "fuselage.diameter"] {
             sweeps.push(sweep(name, &setup, variable)?);
         }
@@ -57,7 +57,7 @@ fn sweep(name: &str, setup: &Arc<Setup>, variable: &str) -> Result<Value, Box<dy
     for k in 0..=STEPS {
         let mut design = setup.parameterisation().baseline();
         design[index] = value(k).min(declared.upper);
-        let linearisation = setup.linearise(&design, &Silent)?;
+        let linearisation = setup.linearise(&design, &NoMonitor)?;
         meshes.push(linearisation.deformation().vertices.clone());
         tangents.push(linearisation.jvp(&[&direction])?.remove(0).vertices);
     }

@@ -107,7 +107,7 @@ impl<'a> Chain<'a> {
         &self,
         design: &[f64],
         directions: &[Vec<f64>],
-        monitor: &dyn Monitor,
+        monitor: &dyn Monitor<Stage>,
     ) -> Result<Evaluation, CheckError> {
         let parameterisation = self.setup.parameterisation();
         parameterisation.validate(design).map_err(DeformError::from)?;
@@ -126,7 +126,7 @@ impl<'a> Chain<'a> {
         &self,
         control_points: &[Vec<[f64; 3]>],
         directions: &[Vec<Vec<[f64; 3]>>],
-        monitor: &dyn Monitor,
+        monitor: &dyn Monitor<Stage>,
     ) -> Result<Evaluation, CheckError> {
         self.in_passes(directions.len(), monitor, &|first| {
             let point = |c: usize, i: usize, x: &[f64; 3]| {
@@ -144,7 +144,7 @@ impl<'a> Chain<'a> {
     fn in_passes(
         &self,
         directions: usize,
-        monitor: &dyn Monitor,
+        monitor: &dyn Monitor<Stage>,
         control_points: &dyn Fn(usize) -> Result<Vec<Vec<[Dual; 3]>>, CheckError>,
     ) -> Result<Evaluation, CheckError> {
         let mut all: Option<Evaluation> = None;
@@ -185,7 +185,7 @@ impl<'a> Chain<'a> {
         control_points: Vec<Vec<[Dual; 3]>>,
         bodies: &[Body],
         found: &[SeamPoint],
-        monitor: &dyn Monitor,
+        monitor: &dyn Monitor<Stage>,
     ) -> Result<DualStages, CheckError> {
         let setup = self.setup;
         let reference: Vec<DualBody<'_>> = setup.reference().iter().map(DualBody::fixed).collect();
@@ -407,7 +407,7 @@ impl Deformed<'_> {
         &self,
         placed: &[Placed],
         seams: &[DualSeam],
-        monitor: &dyn Monitor,
+        monitor: &dyn Monitor<Stage>,
     ) -> Vec<Vector> {
         let setup = self.setup;
         if setup.options().outer_mold_line == OuterMoldLine::Sharp {

@@ -61,7 +61,7 @@ pub trait Function: Sync {
     ///
     /// # Errors
     /// [`DeformError`] if there is no mesh.
-    fn eval(&self, design: &[f64], monitor: &dyn Monitor) -> Result<Outputs, DeformError>;
+    fn eval(&self, design: &[f64], monitor: &dyn Monitor<Stage>) -> Result<Outputs, DeformError>;
 }
 
 /// What a check does at one time.
@@ -89,7 +89,7 @@ pub trait Watch: Sync {
 /// Passes the question on to the engine, but not what it tells.
 struct Quietly<'a>(&'a dyn Watch);
 
-impl Monitor for Quietly<'_> {
+impl Monitor<Stage> for Quietly<'_> {
     fn progress(&self, _: Stage, _: f64) {}
 
     fn cancelled(&self) -> bool {
@@ -289,7 +289,7 @@ pub fn range(variable: &Variable) -> f64 {
 }
 
 impl Function for Setup {
-    fn eval(&self, design: &[f64], monitor: &dyn Monitor) -> Result<Outputs, DeformError> {
+    fn eval(&self, design: &[f64], monitor: &dyn Monitor<Stage>) -> Result<Outputs, DeformError> {
         let control_points = self.parameterisation().control_points(design)?;
         let deformation = self.deform_control_points(&control_points, monitor)?;
         Ok(Outputs { vertices: deformation.vertices, functions: deformation.functions })
@@ -419,7 +419,7 @@ pub fn check_design(
 /// Passes on what the evaluation in dual numbers tells.
 struct DualProgress<'a>(&'a dyn Watch);
 
-impl Monitor for DualProgress<'_> {
+impl Monitor<Stage> for DualProgress<'_> {
     fn progress(&self, stage: Stage, fraction: f64) {
         if stage == Stage::Projection {
             self.0.progress(Phase::DualNumbers, fraction);
@@ -529,7 +529,7 @@ fn central(
     design: &[f64],
     direction: &[f64],
     h: f64,
-    monitor: &dyn Monitor,
+    monitor: &dyn Monitor<Stage>,
 ) -> Result<Option<Outputs>, DeformError> {
     let at = |sign: f64| {
         let design: Vec<f64> = design.iter().zip(direction).map(|(p, d)| p + sign * h * d).collect();

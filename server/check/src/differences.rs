@@ -1,6 +1,6 @@
 //! Differences of the engine's own deformations.
 
-use moldline_deform::{DeformError, Monitor, Setup};
+use moldline_deform::{DeformError, Monitor, Setup, Stage};
 
 /// Displacements of all vertices for a unit of a variable or along a direction, m.
 pub type Derivative = Vec<[f64; 3]>;
@@ -14,7 +14,7 @@ pub fn central_difference(
     design: &[f64],
     direction: &[f64],
     step: f64,
-    monitor: &dyn Monitor,
+    monitor: &dyn Monitor<Stage>,
 ) -> Result<Derivative, DeformError> {
     let at = |h: f64| -> Result<Vec<[f64; 3]>, DeformError> {
         let design: Vec<f64> = design.iter().zip(direction).map(|(p, d)| p + h * d).collect();

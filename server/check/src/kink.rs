@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use moldline_deform::{DeformError, Monitor, Setup};
+use moldline_deform::{DeformError, Monitor, Setup, Stage};
 use rayon::prelude::*;
 
 use crate::{Function, Outputs, differences::norm, dual::Real};
@@ -57,7 +57,7 @@ pub fn kink(
     range: f64,
     here: &Outputs,
     tangent: &[[f64; 3]],
-    monitor: &dyn Monitor,
+    monitor: &dyn Monitor<Stage>,
 ) -> Result<Option<Kink>, DeformError> {
     let [wide, narrow] = STEPS.map(|step| sides(function, design, direction, step * range, here, monitor));
     let (Some(wide), Some(narrow)) = (wide?, narrow?) else { return Ok(None) };
@@ -104,7 +104,7 @@ fn sides(
     direction: &[f64],
     h: f64,
     here: &Outputs,
-    monitor: &dyn Monitor,
+    monitor: &dyn Monitor<Stage>,
 ) -> Result<Option<Vec<[Real; 2]>>, DeformError> {
     let at = |steps: f64| {
         let design: Vec<f64> = design.iter().zip(direction).map(|(p, d)| p + steps * h * d).collect();

@@ -2,7 +2,7 @@
 
 use std::{fmt, sync::Arc};
 
-use moldline_deform::{Setup, Silent};
+use moldline_deform::{NoMonitor, Setup};
 use moldline_parameterisation::Parameterisation;
 
 use crate::{
@@ -120,7 +120,7 @@ impl Report {
         let mut checks = Vec::with_capacity(designs.len());
         for (number, design) in designs.iter().enumerate() {
             let part = Part { observer, number, count: designs.len() };
-            let linear = setup.linearise(design, &Silent)?;
+            let linear = setup.linearise(design, &NoMonitor)?;
             checks.push(check_design(setup, &chain, &linear, &**setup, design, &options, &part)?);
         }
         Ok(Self {

@@ -4,15 +4,15 @@ mod common;
 
 use common::{design, setup, unit};
 use moldline_check::{Chain, Derivative, central_difference, norm, relative_error};
-use moldline_deform::{Options, OuterMoldLine, Propagation, Setup, Silent};
+use moldline_deform::{NoMonitor, Options, OuterMoldLine, Propagation, Setup};
 use nalgebra::Vector3;
 
 /// Values to 1e-10 of the length; derivatives to `bound`, as near as differences extrapolated from two steps come.
 fn agrees(setup: &Setup, design: &[f64], some: &[usize], name: &str, bound: f64) {
     let variables = setup.parameterisation().variables();
     let directions: Vec<Vec<f64>> = some.iter().map(|&k| unit(variables.len(), k)).collect();
-    let dual = Chain::new(setup).eval(design, &directions, &Silent).expect("evaluates");
-    let engine = setup.deform(design, &Silent).expect("deforms");
+    let dual = Chain::new(setup).eval(design, &directions, &NoMonitor).expect("evaluates");
+    let engine = setup.deform(design, &NoMonitor).expect("deforms");
     let both = engine.vertices.iter().zip(&dual.values.vertices);
     let off = both.map(|(a, b)| (Vector3::from(*a) - b).norm()).fold(0.0, f64::max) / setup.length();
     assert!(off <= 1e-10, "{name}: values differ by {off:.1e} of the length");
@@ -21,7 +21,7 @@ fn agrees(setup: &Setup, design: &[f64], some: &[usize], name: &str, bound: f64)
         assert!(norm(&tangent) > 0.0, "{name}: {} does something", variables[k].name);
         let range = variables[k].upper - variables[k].lower;
         let difference =
-            |h: f64| central_difference(setup, design, direction, h * range, &Silent).expect("deforms");
+            |h: f64| central_difference(setup, design, direction, h * range, &NoMonitor).expect("deforms");
         let extrapolated = |h: f64| {
             let (wide, narrow) = (difference(h), difference(0.5 * h));
             let both = wide.iter().zip(&narrow);

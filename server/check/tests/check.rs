@@ -9,7 +9,7 @@ use moldline_check::{
     Chain, CheckError, CheckOptions, DesignCheck, Evaluation, Linear, Outputs, Phase, Stages, Step, Watch,
     check_design, designs,
 };
-use moldline_deform::{DeformError, Setup, Silent};
+use moldline_deform::{DeformError, NoMonitor, Setup};
 
 /// A linearisation by its whole Jacobian, from dual numbers, with a mistake.
 struct Jacobian {
@@ -23,7 +23,7 @@ impl Jacobian {
     fn new(setup: &Setup, design: &[f64]) -> Self {
         let count = design.len();
         let directions: Vec<Vec<f64>> = (0..count).map(|k| unit(count, k)).collect();
-        let evaluation = Chain::new(setup).eval(design, &directions, &Silent).expect("evaluates");
+        let evaluation = Chain::new(setup).eval(design, &directions, &NoMonitor).expect("evaluates");
         Self { evaluation, mistake: |_| (), adjoint: 1.0 }
     }
 }

@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use common::{design, setup};
 use moldline_check::{Chain, CheckOptions, Phase, Watch, check_design};
-use moldline_deform::{OuterMoldLine, Propagation, Setup, Silent};
+use moldline_deform::{NoMonitor, OuterMoldLine, Propagation, Setup};
 
 struct Nobody;
 
@@ -18,7 +18,7 @@ impl Watch for Nobody {
 fn passes(setup: Setup, fraction: f64, variables: &[usize], name: &str, bound: f64) {
     let setup = Arc::new(setup);
     let design = design(&setup, fraction);
-    let linear = setup.linearise(&design, &Silent).expect("deforms");
+    let linear = setup.linearise(&design, &NoMonitor).expect("deforms");
     let options = CheckOptions {
         variables: variables.to_vec(),
         steps: vec![1e-3, 1e-4, 1e-5],

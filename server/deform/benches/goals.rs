@@ -11,7 +11,7 @@ use std::{
     time::Instant,
 };
 
-use moldline_deform::{Kernel, OuterMoldLine, Setup, SetupInput, Silent, Tangent, rbf::RadialBasis};
+use moldline_deform::{Kernel, NoMonitor, OuterMoldLine, Setup, SetupInput, Tangent, rbf::RadialBasis};
 use moldline_geometry::{Block, Body, Location};
 use moldline_setup::{Files, Limits, read_folder, read_setup};
 use moldline_spline::Vector3;
@@ -47,7 +47,7 @@ fn engine(e175: &Path, files: &Files) -> Result<(), Failure> {
 
     let (setup, seconds) = median_of(3, || {
         let input = parse(files)?;
-        Ok(Setup::build(input, &Silent)?)
+        Ok(Setup::build(input, &NoMonitor)?)
     })?;
     let training: usize = setup.report().fields.iter().map(|field| field.training_vertices).sum();
     tell("set-up, 15,000 cells", seconds, "s", "<= 5");
@@ -56,14 +56,14 @@ fn engine(e175: &Path, files: &Files) -> Result<(), Failure> {
     threads_do_not_matter("sharp", &setup)?;
     let cells = setup.mesh().cells.len() as f64;
 
-    let smooth = Setup::build(smoothed(input), &Silent)?;
+    let smooth = Setup::build(smoothed(input), &NoMonitor)?;
     deforming("15,000 cells, smooth", "<= 100", &smooth)?;
     threads_do_not_matter("smooth", &smooth)?;
 
     // With the 45 variables of Table 2.
     let table2 = read_setup(&read_folder(e175, &Limits::default())?.0, None, &Limits::default())?.input;
     for (name, input) in [("sharp", table2.clone()), ("smooth", smoothed(table2))] {
-        differentiating(name, &Arc::new(Setup::build(input, &Silent)?))?;
+        differentiating(name, &Arc::new(Setup::build(input, &NoMonitor)?))?;
     }
 
     if let Some(folder) = env::var_os("MOLDLINE_BENCH_LARGE") {
@@ -73,12 +73,12 @@ fn engine(e175: &Path, files: &Files) -> Result<(), Failure> {
         let names = files.keys().filter(|name| *name != SETUP_FILE);
         let mut fine: Files = names.map(read).collect::<Result<_, _>>()?;
         fine.insert(SETUP_FILE.to_owned(), files[SETUP_FILE].clone());
-        let (setup, seconds) = median_of(1, || Ok(Setup::build(parse(&fine)?, &Silent)?))?;
+        let (setup, seconds) = median_of(1, || Ok(Setup::build(parse(&fine)?, &NoMonitor)?))?;
         tell("set-up, 100,000 cells", seconds, "s", "measured");
         let milliseconds = deforming("100,000 cells, sharp", "<= 1000", &setup)?;
         let growth = (milliseconds / sharp).ln() / (setup.mesh().cells.len() as f64 / cells).ln();
         tell("Deform, time grows as cells to the power", growth, "1", "measured");
-        let smooth = Setup::build(smoothed(parse(&fine)?), &Silent)?;
+        let smooth = Setup::build(smoothed(parse(&fine)?), &NoMonitor)?;
         deforming("100,000 cells, smooth", "<= 1000", &smooth)?;
     }
     Ok(())
@@ -101,9 +101,9 @@ fn tell(name: &str, value: impl Into<Value>, unit: &str, goal: &str) {
 fn differentiating(name: &str, setup: &Arc<Setup>) -> Result<(), Failure> {
     let variables = setup.parameterisation().variables().iter();
     let design: Vec<f64> = variables.map(|v| v.baseline + 0.5 * (v.upper - v.baseline)).collect();
-    let (_, deform) = median_of(9, || Ok(setup.deform(&design, &Silent)?))?;
+    let (_, deform) = median_of(9, || Ok(setup.deform(&design, &NoMonitor)?))?;
     tell(&format!("Deform, 45 variables, {name}"), 1e3 * deform, "ms", "<= 100");
-    let (linearisation, linearise) = median_of(9, || Ok(setup.linearise(&design, &Silent)?))?;
+    let (linearisation, linearise) = median_of(9, || Ok(setup.linearise(&design, &NoMonitor)?))?;
     tell(&format!("Deform with its linearisation, {name}"), linearise / deform, "x Deform", "measured");
     let megabytes = linearisation.bytes() as f64 / 1e6;
     tell(&format!("linearisation, {name}, memory"), megabytes, "MB", "<= 60");
@@ -153,7 +153,7 @@ fn deforming(name: &str, goal: &str, setup: &Setup) -> Result<f64, Failure> {
         for corner in CORNERS {
             let design = design(setup, corner)?;
             let start = Instant::now();
-            setup.deform(&design, &Silent)?;
+            setup.deform(&design, &NoMonitor)?;
             seconds.push(start.elapsed().as_secs_f64());
         }
     }
@@ -174,7 +174,7 @@ fn threads_do_not_matter(name: &str, setup: &Setup) -> Result<(), Failure> {
     let mut bits: Vec<Vec<u64>> = Vec::new();
     for threads in [1, 2, 2] {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build()?;
-        let vertices = pool.install(|| setup.deform(&design, &Silent))?.vertices;
+        let vertices = pool.install(|| setup.deform(&design, &NoMonitor))?.vertices;
         bits.push(vertices.iter().flatten().map(|x| x.to_bits()).collect());
     }
     let same = bits.iter().all(|other| *other == bits[0]);

@@ -15,7 +15,7 @@ use moldline_spline::Vector3;
 use rayon::prelude::*;
 
 use crate::{
-    DeformError, Deformation, Monitor, Propagation, Setup,
+    DeformError, Deformation, Monitor, Propagation, Setup, Stage,
     outputs::{Measured, OutputsDerivative},
     pipeline::{Placed, Rule, State},
     projection::Step,
@@ -132,7 +132,7 @@ impl Setup {
     pub fn linearise(
         self: &Arc<Self>,
         design: &[f64],
-        monitor: &dyn Monitor,
+        monitor: &dyn Monitor<Stage>,
     ) -> Result<Linearisation, DeformError> {
         let control_points = self.design_control_points(design, monitor)?;
         let linearisation = self.linearise_control_points(&control_points, monitor)?;
@@ -146,7 +146,7 @@ impl Setup {
     pub fn linearise_control_points(
         self: &Arc<Self>,
         control_points: &[Vec<[f64; 3]>],
-        monitor: &dyn Monitor,
+        monitor: &dyn Monitor<Stage>,
     ) -> Result<Linearisation, DeformError> {
         let (state, deformation) = self.run(control_points, monitor)?;
         let seams = self.seams.linearise(&state.seams, &self.reference, &state.bodies);

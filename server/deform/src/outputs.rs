@@ -4,6 +4,7 @@
 //! Volumes and areas are homogeneous polynomials or norms of the positions, so that they are evaluated from their own
 //! gradients (Euler's theorem): `3 V = sum x . dV/dx`, `2 A = sum x . dA/dx`.
 
+use moldline_foundation::quadrature::gauss_legendre;
 use moldline_geometry::{Block, Body, Component, Location, block::vector};
 use moldline_mesh::Cell;
 use moldline_spline::Vector3;
@@ -470,7 +471,7 @@ pub fn quadrature(body: &Body, mut f: impl FnMut(f64, &Location)) {
         let sign = if description.flipped { -1.0 } else { 1.0 };
         // S . (S_u x S_v) has degree 3 p - 1; rational patches converge fast.
         let extra = if surface.is_rational() { 4 } else { 0 };
-        let rule = |degree: usize| gauss((3 * degree).div_ceil(2) + extra);
+        let rule = |degree: usize| gauss_legendre((3 * degree).div_ceil(2) + extra);
         let (rule_u, rule_v) = (rule(surface.knots_u().degree()), rule(surface.knots_v().degree()));
         for u in surface.knots_u().breaks().windows(2) {
             for v in surface.knots_v().breaks().windows(2) {
@@ -484,30 +485,6 @@ pub fn quadrature(body: &Body, mut f: impl FnMut(f64, &Location)) {
             }
         }
     }
-}
-
-/// Nodes and weights of Gauss and Legendre's rule on [-1, 1]: roots of the Legendre polynomial by Newton's method.
-fn gauss(n: usize) -> Vec<(f64, f64)> {
-    (0..n)
-        .map(|i| {
-            let mut x = (std::f64::consts::PI * (i as f64 + 0.75) / (n as f64 + 0.5)).cos();
-            let mut slope = 1.0;
-            for _ in 0..20 {
-                let (mut p, mut before) = (1.0, 0.0);
-                for k in 1..=n {
-                    let k = k as f64;
-                    (p, before) = (((2.0 * k - 1.0) * x * p - (k - 1.0) * before) / k, p);
-                }
-                slope = n as f64 * (x * p - before) / (x * x - 1.0);
-                let step = p / slope;
-                x -= step;
-                if step.abs() < 1e-16 {
-                    break;
-                }
-            }
-            (x, 2.0 / ((1.0 - x * x) * slope * slope))
-        })
-        .collect()
 }
 
 fn locate<C: AsRef<Component>>(point: &ComponentPoint, components: &[C]) -> Result<At, String> {
@@ -536,21 +513,4 @@ fn locate<C: AsRef<Component>>(point: &ComponentPoint, components: &[C]) -> Resu
         point.patch,
         component.name()
     ))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_gauss_rule_integrates_its_polynomials() {
-        for n in 1..=16 {
-            let rule = gauss(n);
-            for degree in 0..2 * n {
-                let sum: f64 = rule.iter().map(|(x, w)| w * x.powi(degree as i32)).sum();
-                let exact = if degree % 2 == 0 { 2.0 / (degree as f64 + 1.0) } else { 0.0 };
-                assert!((sum - exact).abs() < 1e-13, "{n} points, degree {degree}: {sum} {exact}");
-            }
-        }
-    }
 }

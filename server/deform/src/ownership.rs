@@ -131,7 +131,7 @@ impl Ownership {
         cells: &[Cell],
         bodies: &[Body],
         tolerance: f64,
-        monitor: &dyn Monitor,
+        monitor: &dyn Monitor<Stage>,
     ) -> Result<Self, SetupError> {
         let mut found: Vec<Vec<Attachment>> = Vec::with_capacity(vertices.len());
         for chunk in vertices.chunks(CHUNK) {

@@ -69,7 +69,7 @@ impl Setup {
     ///
     /// # Errors
     /// [`DeformError`]: the design is refused, a seam is lost, or the projection does not converge.
-    pub fn deform(&self, design: &[f64], monitor: &dyn Monitor) -> Result<Deformation, DeformError> {
+    pub fn deform(&self, design: &[f64], monitor: &dyn Monitor<Stage>) -> Result<Deformation, DeformError> {
         self.deform_control_points(&self.design_control_points(design, monitor)?, monitor)
     }
 
@@ -80,7 +80,7 @@ impl Setup {
     pub fn deform_control_points(
         &self,
         control_points: &[Vec<[f64; 3]>],
-        monitor: &dyn Monitor,
+        monitor: &dyn Monitor<Stage>,
     ) -> Result<Deformation, DeformError> {
         Ok(self.run(control_points, monitor)?.1)
     }
@@ -88,7 +88,7 @@ impl Setup {
     pub(crate) fn design_control_points(
         &self,
         design: &[f64],
-        monitor: &dyn Monitor,
+        monitor: &dyn Monitor<Stage>,
     ) -> Result<ControlPoints, DeformError> {
         monitor.progress(Stage::Geometry, 0.0);
         self.parameterisation.validate(design)?;
@@ -99,7 +99,7 @@ impl Setup {
     pub(crate) fn run(
         &self,
         control_points: &[Vec<[f64; 3]>],
-        monitor: &dyn Monitor,
+        monitor: &dyn Monitor<Stage>,
     ) -> Result<(State, Deformation), DeformError> {
         let bodies = self.bodies(control_points)?;
         let go_on = |stage| {
@@ -341,7 +341,7 @@ impl Setup {
         placed: &[Placed],
         seams: &[SeamPoint],
         bodies: &[Body],
-        monitor: &dyn Monitor,
+        monitor: &dyn Monitor<Stage>,
     ) -> Result<(Vec<Vector3>, f64, Vec<(u32, Vec<Step>)>), DeformError> {
         if self.options.outer_mold_line == OuterMoldLine::Sharp {
             return Ok((placed.iter().map(|p| p.position).collect(), 0.0, Vec::new()));

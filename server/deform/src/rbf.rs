@@ -17,9 +17,9 @@ use faer::{
     dyn_stack::{MemBuffer, MemStack},
     linalg::{cholesky::llt, matmul::matmul},
 };
+use moldline_foundation::simd::widest;
 use moldline_geometry::Block;
 use moldline_spline::Vector3;
-use pulp::{Arch, NullaryFnOnce};
 use rayon::prelude::*;
 
 use triangular::Tiles;
@@ -578,7 +578,7 @@ fn tiled(targets: &[Vector3], sources: &Cloud, weights: &[f64], rounding: f64, o
     let tiles = targets.par_chunks(TILE).zip(out.data_mut().par_chunks_mut(TILE * columns));
     if columns <= FEW {
         tiles.for_each(|(targets, out)| {
-            wide(
+            widest(
                 #[inline(always)]
                 || match columns {
                     1 => few::<1>(targets, sources, weights, rounding, out),
@@ -593,7 +593,7 @@ fn tiled(targets: &[Vector3], sources: &Cloud, weights: &[f64], rounding: f64, o
             |panel, (targets, out)| {
                 for first in (0..sources.count).step_by(PANEL) {
                     let last = (first + PANEL).min(sources.count);
-                    wide(
+                    widest(
                         #[inline(always)]
                         || kernel_panel(targets, sources, first..last, rounding, panel),
                     );
@@ -611,23 +611,6 @@ fn tiled(targets: &[Vector3], sources: &Cloud, weights: &[f64], rounding: f64, o
             },
         );
     }
-}
-
-/// Runs an operation marked `#[inline(always)]` with the widest vectors of the processor.
-///
-/// It is called through `FnMut`: the `call_once` of a closure is a function of its own, which is not inlined and gets no wide vectors.
-#[inline(always)]
-fn wide(operation: impl FnMut()) {
-    struct Wide<F>(F);
-    impl<F: FnMut()> NullaryFnOnce for Wide<F> {
-        type Output = ();
-
-        #[inline(always)]
-        fn call(mut self) {
-            (self.0)();
-        }
-    }
-    Arch::new().dispatch(Wide(operation));
 }
 
 /// Sums of one tile for up to [`FEW`] columns.

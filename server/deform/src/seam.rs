@@ -10,7 +10,7 @@ use moldline_spline::Vector3;
 use rayon::prelude::*;
 
 use crate::{
-    DeformError, Monitor, SeamOptions,
+    DeformError, Monitor, SeamOptions, Stage,
     chart::product,
     error::{LISTED, VertexDistance},
 };
@@ -198,7 +198,7 @@ impl SeamSolver {
         &self,
         reference: &[Body],
         bodies: &[Body],
-        monitor: &dyn Monitor,
+        monitor: &dyn Monitor<Stage>,
     ) -> Result<Vec<SeamPoint>, DeformError> {
         let junctions: Vec<(usize, Result<SeamPoint, f64>)> = self
             .vertices

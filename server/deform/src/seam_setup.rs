@@ -98,7 +98,7 @@ pub fn seam_solver(
     options: SeamOptions,
     length: f64,
     found: &[FoundLine],
-    monitor: &dyn Monitor,
+    monitor: &dyn Monitor<Stage>,
 ) -> Result<(SeamSolver, Vec<SeamSummary>), SetupError> {
     let seam_vertices: Vec<u32> =
         (0..ownership.vertex_count() as u32).filter(|&v| ownership.is_seam(v)).collect();
@@ -521,7 +521,7 @@ mod tests {
     use moldline_spline::Vector3;
 
     use super::*;
-    use crate::Silent;
+    use crate::NoMonitor;
 
     /// Two cells, one on the upper face z = 0 of a block, one on the front x = 0 of a plate of the given thickness that
     /// stands in it.
@@ -545,9 +545,9 @@ mod tests {
             [0.0, 1.0, 1.0],
         ];
         let cells = [Cell::quad(0, 2, 3, 1), Cell::quad(2, 4, 5, 3)];
-        let ownership = Ownership::find(&vertices, &cells, &bodies, 1e-9, &Silent)?;
+        let ownership = Ownership::find(&vertices, &cells, &bodies, 1e-9, &NoMonitor)?;
         let topology = Topology::of_cells(vertices.len(), &cells);
-        seam_solver(&ownership, &topology, &vertices, &bodies, SeamOptions::default(), 4.0, &[], &Silent)
+        seam_solver(&ownership, &topology, &vertices, &bodies, SeamOptions::default(), 4.0, &[], &NoMonitor)
     }
 
     #[test]

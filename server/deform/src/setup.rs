@@ -129,7 +129,7 @@ impl Setup {
     ///
     /// # Errors
     /// [`SetupError`] if the mesh does not fit the components, an option is out of range, and so on.
-    pub fn build(input: SetupInput, monitor: &dyn Monitor) -> Result<Self, SetupError> {
+    pub fn build(input: SetupInput, monitor: &dyn Monitor<Stage>) -> Result<Self, SetupError> {
         Self::assemble(input, Derived::default(), monitor)
     }
 
@@ -138,7 +138,11 @@ impl Setup {
     ///
     /// # Errors
     /// As `build`.
-    pub fn restore(input: SetupInput, derived: Derived, monitor: &dyn Monitor) -> Result<Self, SetupError> {
+    pub fn restore(
+        input: SetupInput,
+        derived: Derived,
+        monitor: &dyn Monitor<Stage>,
+    ) -> Result<Self, SetupError> {
         Self::assemble(input, derived, monitor)
     }
 
@@ -156,7 +160,11 @@ impl Setup {
         }
     }
 
-    fn assemble(input: SetupInput, derived: Derived, monitor: &dyn Monitor) -> Result<Self, SetupError> {
+    fn assemble(
+        input: SetupInput,
+        derived: Derived,
+        monitor: &dyn Monitor<Stage>,
+    ) -> Result<Self, SetupError> {
         let SetupInput { components, mesh, parameterisation, outputs, options } = input;
         options.validate()?;
         let names: Vec<String> = components.iter().map(|c| c.name().to_owned()).collect();
@@ -535,7 +543,7 @@ fn refuse_holes(
 fn find_seams(
     seams: &SeamSolver,
     reference: &[Body],
-    monitor: &dyn Monitor,
+    monitor: &dyn Monitor<Stage>,
 ) -> Result<(Vec<Vector3>, f64), SetupError> {
     let points = seams.eval(reference, reference, monitor).map_err(|error| match error {
         DeformError::Cancelled => SetupError::Cancelled,
@@ -591,7 +599,7 @@ struct Fields<'a> {
 
 impl Fields<'_> {
     /// Chooses the training vertices and factorises, region by region.
-    fn build(&self, monitor: &dyn Monitor) -> Result<Vec<RegionField>, SetupError> {
+    fn build(&self, monitor: &dyn Monitor<Stage>) -> Result<Vec<RegionField>, SetupError> {
         let regions: Vec<Option<u32>> = match self.options.propagation {
             Propagation::Absolute => vec![None],
             Propagation::Departure | Propagation::Surface => (0..self.names.len() as u32).map(Some).collect(),

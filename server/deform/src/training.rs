@@ -4,6 +4,7 @@
 //! A training datum is a fixed linear combination of what the seam vertices do, so that data, field and mesh depend
 //! linearly on the seams.
 
+use moldline_foundation::smooth_step::smooth_step;
 use moldline_mesh::{Topology, graph, nearest_sources};
 use moldline_spline::Vector3;
 
@@ -47,8 +48,7 @@ pub struct Region<'a> {
 
 /// C2 step: 1 at 0, 0 at 1 and beyond.
 pub fn blending_weight(distance_over_radius: f64) -> f64 {
-    let t = distance_over_radius.clamp(0.0, 1.0);
-    1.0 - t * t * t * (10.0 + t * (6.0 * t - 15.0))
+    1.0 - smooth_step(distance_over_radius.clamp(0.0, 1.0))
 }
 
 impl Region<'_> {

@@ -6,7 +6,7 @@
 use std::sync::Arc;
 
 use moldline_deform::{
-    DeformError, SeamOptions, Silent,
+    DeformError, NoMonitor, SeamOptions,
     seam::{SeamLine, SeamSearch, SeamSolver, SeamVertex},
 };
 use moldline_geometry::{Body, Component, Primitive, Vector3};
@@ -47,7 +47,7 @@ fn solver(bodies: &[Body], fillet: f64, bracket: [f64; 2]) -> SeamSolver {
 }
 
 fn found(solver: &SeamSolver, bodies: &[Body]) -> Vector3 {
-    solver.eval(bodies, bodies, &Silent).unwrap()[0].position
+    solver.eval(bodies, bodies, &NoMonitor).unwrap()[0].position
 }
 
 #[test]
@@ -87,7 +87,7 @@ fn a_union_out_of_reach_is_lost_by_vertex() {
     let reference = bodies([[0.0; 3], [0.5, 0.0, 0.0]]);
     let solver = solver(&reference, 1e-3, [0.0, 1.5]);
     let bodies = bodies([[0.0, 0.0, 3.0], [0.5, 0.0, 4.0]]);
-    let Err(DeformError::SeamLost { count, worst, .. }) = solver.eval(&bodies, &bodies, &Silent) else {
+    let Err(DeformError::SeamLost { count, worst, .. }) = solver.eval(&bodies, &bodies, &NoMonitor) else {
         panic!("nothing is met")
     };
     assert_eq!((count, worst[0].vertex), (1, 0));

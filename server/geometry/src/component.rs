@@ -7,6 +7,7 @@
 use crate::block::add_row;
 use crate::topology::{Piece, Topology};
 use crate::{Block, Edge, Location, Side, Vector3, Vertex};
+use moldline_foundation::quadrature::GAUSS_4;
 use moldline_spline::{KnotVector, LinearRow, Surface, SurfacePoint};
 use std::ops::Range;
 
@@ -246,21 +247,15 @@ impl Patch {
     /// Volume of the cone from `origin` over the patch: `1/3` of the integral of `(S - o) . (S_u x S_v)`, by Gauss
     /// quadrature with four points per interval; only its sign is used.
     pub(crate) fn cone_volume(&self, control_points: &[[f64; 4]], origin: &Vector3) -> f64 {
-        const NODES: [(f64, f64); 4] = [
-            (0.069_431_844_202_973_71, 0.173_927_422_568_726_93),
-            (0.330_009_478_207_571_9, 0.326_072_577_431_273_07),
-            (0.669_990_521_792_428_1, 0.326_072_577_431_273_07),
-            (0.930_568_155_797_026_3, 0.173_927_422_568_726_93),
-        ];
         let mut sum = 0.0;
         for u in self.surface.knots_u().breaks().windows(2) {
             for v in self.surface.knots_v().breaks().windows(2) {
                 let area = (u[1] - u[0]) * (v[1] - v[0]);
-                for (a, wa) in NODES {
-                    for (b, wb) in NODES {
-                        let p =
-                            self.point(control_points, u[0] + a * (u[1] - u[0]), v[0] + b * (v[1] - v[0]));
-                        sum += area * wa * wb * (p.position - origin).dot(&p.d_u.cross(&p.d_v));
+                for (a, wa) in GAUSS_4 {
+                    for (b, wb) in GAUSS_4 {
+                        let at = |x: f64, w: &[f64]| w[0] + 0.5 * (1.0 + x) * (w[1] - w[0]);
+                        let p = self.point(control_points, at(a, u), at(b, v));
+                        sum += 0.25 * area * wa * wb * (p.position - origin).dot(&p.d_u.cross(&p.d_v));
                     }
                 }
             }

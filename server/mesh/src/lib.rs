@@ -24,5 +24,4 @@ pub use quality::{CellQuality, Distribution, QualityReport, Summary};
 pub use symmetry::Plane;
 pub use topology::{Csr, Topology};
 
-/// A vector or point of three components, in metres where it is a position.
-pub type Vector3 = nalgebra::Vector3<f64>;
+pub use moldline_foundation::Vector3;

@@ -8,7 +8,7 @@ use std::{
 };
 
 use moldline_check::CheckError;
-use moldline_deform::{Deformation, Monitor, Setup};
+use moldline_deform::{Deformation, Monitor, Setup, Stage};
 use moldline_mesh::{
     CellQuality, SurfaceMesh,
     io::vtu::{self, Array, Values},
@@ -139,7 +139,9 @@ pub fn build(source: &Source) -> Result<Setup, Failure> {
 }
 
 /// Runs `work` with a progress bar.
-fn with_bar<T, E: Into<ServiceError>>(work: impl FnOnce(&dyn Monitor) -> Result<T, E>) -> Result<T, Failure> {
+fn with_bar<T, E: Into<ServiceError>>(
+    work: impl FnOnce(&dyn Monitor<Stage>) -> Result<T, E>,
+) -> Result<T, Failure> {
     let bar = Bar::new();
     let monitor = Reporter::new(Cancellation::default(), |progress| bar.show(&progress));
     work(&monitor).map_err(|error| Failure::Refused(error.into()))

@@ -295,7 +295,7 @@ impl PanelService {
         count: usize,
         work: impl FnOnce(
             &moldline_panel::Linearisation,
-            &dyn moldline_panel::Monitor,
+            &dyn moldline_panel::Monitor<moldline_panel::Stage>,
         ) -> Result<Vec<T>, moldline_panel::PanelError>
         + Send
         + 'static,

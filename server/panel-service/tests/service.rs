@@ -57,7 +57,7 @@ async fn analyses_and_products_are_those_of_the_panel_method() {
 
     let mesh = meshes::Wing { half: true, ..meshes::Wing::rectangular(12, 8) }.mesh();
     let setup = PanelSetup::new(&mesh, wing().options).unwrap();
-    let solution = Arc::new(setup.solve(&mesh.vertices, 0.3, &moldline_panel::Silent).unwrap());
+    let solution = Arc::new(setup.solve(&mesh.vertices, 0.3, &moldline_panel::NoMonitor).unwrap());
     assert_eq!(analysed.analyses[1], solution.analyse(&flow(0.05)).unwrap());
     assert_eq!(analysed.solved.residuals.last(), Some(&analysed.analyses[0].residual));
 
@@ -66,7 +66,7 @@ async fn analyses_and_products_are_those_of_the_panel_method() {
     let expected = solution
         .linearise(&flow(0.05))
         .unwrap()
-        .vjp(std::slice::from_ref(&seed), &moldline_panel::Silent)
+        .vjp(std::slice::from_ref(&seed), &moldline_panel::NoMonitor)
         .unwrap();
     let by_id = service.vjp(&caller, id, at(&analysed.solved.id, None), vec![seed.clone()]).await.unwrap();
     assert_eq!(by_id.value, expected);

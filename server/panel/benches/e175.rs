@@ -23,7 +23,7 @@ impl Clock {
     }
 }
 
-impl Monitor for Clock {
+impl Monitor<Stage> for Clock {
     fn progress(&self, stage: Stage, fraction: f64) {
         let Ok(mut last) = self.last.lock() else { return };
         match *last {

@@ -24,12 +24,13 @@ use std::{
     sync::atomic::{AtomicUsize, Ordering},
 };
 
+use moldline_foundation::simd::widest;
 use moldline_mesh::Vector3;
 use rayon::prelude::*;
 
 use crate::{
     Monitor, PanelError, Stage,
-    lanes::{LANES, Lane, argument, log_ratio, total, wide},
+    lanes::{LANES, Lane, argument, log_ratio, total},
     matrix::Matrix,
     surface::Surface,
     topology::{Panels, Patch},
@@ -254,7 +255,7 @@ impl<'a, const B: usize> Influence<'a, B> {
     pub fn assemble(
         &self,
         circulation: &[Vec<(u32, f64)>],
-        monitor: &dyn Monitor,
+        monitor: &dyn Monitor<Stage>,
     ) -> Result<(Matrix, [Vec<f64>; B]), PanelError> {
         let n = self.panels.len();
         let mut matrix = Matrix::zeros(n);
@@ -272,7 +273,7 @@ impl<'a, const B: usize> Influence<'a, B> {
                     }
                     strips.fill([0.0; LANES]);
                     let images = self.images(index);
-                    wide(
+                    widest(
                         #[inline(always)]
                         || {
                             for patch in &self.patches {
@@ -346,7 +347,7 @@ impl<'a, const B: usize> Influence<'a, B> {
         &self,
         strengths: &Strengths<'_, B>,
         changes: &[PairChange<'_, B>],
-        monitor: &dyn Monitor,
+        monitor: &dyn Monitor<Stage>,
     ) -> Result<Vec<[Vec<f64>; B]>, PanelError> {
         let n = self.panels.len();
         let terms = self.terms(strengths);
@@ -362,7 +363,7 @@ impl<'a, const B: usize> Influence<'a, B> {
                 }
                 let images = self.images(index);
                 let mut slopes = [[[0.0; LANES]; 3]; B];
-                wide(
+                widest(
                     #[inline(always)]
                     || {
                         for patch in &self.patches {
@@ -552,7 +553,7 @@ impl<'a, const B: usize> Influence<'a, B> {
         &self,
         strengths: &Strengths<'_, B>,
         seeds: &[[Vec<f64>; B]],
-        monitor: &dyn Monitor,
+        monitor: &dyn Monitor<Stage>,
     ) -> Result<Vec<PairSeeds<B>>, PanelError> {
         let n = self.panels.len();
         let terms = self.terms(strengths);
@@ -961,7 +962,7 @@ fn patch_vjp<const B: usize>(
     let mut edges = vec![[[0.0; QUARTER]; 9]; patch.edges.len() * rows];
     let mut panels = vec![[[0.0; QUARTER]; 4]; patch.panels.len() * rows];
     for ((images, psi), slopes) in tiles.iter().zip(psi).zip(slopes) {
-        wide(
+        widest(
             #[inline(always)]
             || {
                 pairs(
@@ -1098,14 +1099,14 @@ fn solid_angle_near<const B: usize>(
 
 /// Progress of a parallel loop, and whether to go on.
 struct Work<'a> {
-    monitor: &'a dyn Monitor,
+    monitor: &'a dyn Monitor<Stage>,
     stage: Stage,
     total: usize,
     done: AtomicUsize,
 }
 
 impl<'a> Work<'a> {
-    fn new(monitor: &'a dyn Monitor, stage: Stage, total: usize) -> Self {
+    fn new(monitor: &'a dyn Monitor<Stage>, stage: Stage, total: usize) -> Self {
         monitor.progress(stage, 0.0);
         Self { monitor, stage, total, done: AtomicUsize::new(0) }
     }
@@ -1136,7 +1137,7 @@ impl<'a> Work<'a> {
 mod tests {
     use super::*;
     use crate::{
-        Silent, Symmetry,
+        NoMonitor, Symmetry,
         meshes::{Random, Wing, partly_triangles, sphere},
     };
 
@@ -1166,11 +1167,11 @@ mod tests {
             let wakes = Wakes::default();
             let sums = if panels.symmetric {
                 let (matrix, _) =
-                    Influence::<2>::new(&panels, &wakes, &surface).assemble(&[], &Silent).unwrap();
+                    Influence::<2>::new(&panels, &wakes, &surface).assemble(&[], &NoMonitor).unwrap();
                 matrix.times(&[vec![1.0; panels.len()]]).swap_remove(0)
             } else {
                 let (matrix, _) =
-                    Influence::<3>::new(&panels, &wakes, &surface).assemble(&[], &Silent).unwrap();
+                    Influence::<3>::new(&panels, &wakes, &surface).assemble(&[], &NoMonitor).unwrap();
                 matrix.times(&[vec![1.0; panels.len()]]).swap_remove(0)
             };
             for (panel, sum) in sums.iter().enumerate() {

@@ -5,30 +5,11 @@
 
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, LN_2, PI};
 
-use pulp::{Arch, NullaryFnOnce};
-
 /// Collocation points that are handled at once.
 pub(crate) const LANES: usize = 16;
 
 /// One number for each collocation point of a tile.
 pub(crate) type Lane = [f64; LANES];
-
-/// Runs an operation marked `#[inline(always)]` with the widest vectors of the processor.
-///
-/// It is called through `FnMut`: the `call_once` of a closure is a function of its own, which is not inlined and gets no wide vectors.
-#[inline(always)]
-pub(crate) fn wide(operation: impl FnMut()) {
-    struct Wide<F>(F);
-    impl<F: FnMut()> NullaryFnOnce for Wide<F> {
-        type Output = ();
-
-        #[inline(always)]
-        fn call(mut self) {
-            (self.0)();
-        }
-    }
-    Arch::new().dispatch(Wide(operation));
-}
 
 /// `atan(sqrt w) / sqrt w` for `w <= tan^2(pi/8)`: interpolation at Chebyshev nodes, relative error 7e-17.
 const ARC_TANGENT: [f64; 11] = [

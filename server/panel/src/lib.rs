@@ -26,11 +26,11 @@ mod matrix;
 #[path = "../tests/suite/meshes.rs"]
 #[allow(dead_code, clippy::unwrap_used, reason = "shared with the tests of the whole crate")]
 mod meshes;
-mod monitor;
 mod options;
 mod pressure;
 mod setup;
 mod solution;
+mod stage;
 mod surface;
 mod system;
 mod topology;
@@ -41,8 +41,9 @@ mod wind;
 
 pub use error::PanelError;
 pub use linearisation::{Inputs, Linearisation, Outputs};
-pub use monitor::{Monitor, Silent, Stage};
+pub use moldline_foundation::{Monitor, NoMonitor};
 pub use options::{Flow, Options, Reference, Solver, Symmetry, TrailingEdges};
 pub use setup::{PanelSetup, SetupSummary, memory_estimate};
 pub use solution::{Analysis, Loads, MAX_MACH, Section, Solution};
+pub use stage::Stage;
 pub use wind::Scalars;

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use moldline_mesh::Vector3;
 
 use crate::{
-    Flow, Monitor, PanelError, Scalars, Solution,
+    Flow, Monitor, PanelError, Scalars, Solution, Stage,
     gradient::{Gradients, Slope},
     influence::{Influence, PairChange, Strengths},
     kutta::Kutta,
@@ -84,7 +84,11 @@ impl Linearisation {
     ///
     /// # Errors
     /// [`PanelError::Length`] or [`PanelError::OutOfRange`] for directions of the wrong length or not finite; cancelled; not converged.
-    pub fn jvp(&self, directions: &[Inputs], monitor: &dyn Monitor) -> Result<Vec<Outputs>, PanelError> {
+    pub fn jvp(
+        &self,
+        directions: &[Inputs],
+        monitor: &dyn Monitor<Stage>,
+    ) -> Result<Vec<Outputs>, PanelError> {
         self.check_directions(directions)?;
         let mut out = Vec::with_capacity(directions.len());
         for block in directions.chunks(BLOCK) {
@@ -100,7 +104,7 @@ impl Linearisation {
     ///
     /// # Errors
     /// As [`jvp`](Self::jvp), for seeds.
-    pub fn vjp(&self, seeds: &[Outputs], monitor: &dyn Monitor) -> Result<Vec<Inputs>, PanelError> {
+    pub fn vjp(&self, seeds: &[Outputs], monitor: &dyn Monitor<Stage>) -> Result<Vec<Inputs>, PanelError> {
         self.check_seeds(seeds)?;
         let mut out = Vec::with_capacity(seeds.len());
         for block in seeds.chunks(BLOCK) {
@@ -169,7 +173,7 @@ impl Linearisation {
         &self,
         state: &State<B>,
         directions: &[Inputs],
-        monitor: &dyn Monitor,
+        monitor: &dyn Monitor<Stage>,
     ) -> Result<Vec<Outputs>, PanelError> {
         let setup = &*self.solution.setup;
         let (panels, surface) = (&setup.panels, &state.surface);
@@ -283,7 +287,7 @@ impl Linearisation {
         &self,
         state: &State<B>,
         seeds: &[Outputs],
-        monitor: &dyn Monitor,
+        monitor: &dyn Monitor<Stage>,
     ) -> Result<Vec<Inputs>, PanelError> {
         let setup = &*self.solution.setup;
         let (panels, surface) = (&setup.panels, &state.surface);

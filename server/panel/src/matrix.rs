@@ -1,9 +1,10 @@
 //! The dense matrix, stored as it is made: tiles of rows, and within a tile column after column.
 
 use faer::{Mat, traits::RealField};
+use moldline_foundation::simd::widest;
 use rayon::prelude::*;
 
-use crate::lanes::{LANES, Lane, wide};
+use crate::lanes::{LANES, Lane};
 
 /// Columns that one task handles.
 const COLUMNS: usize = 32;
@@ -47,7 +48,7 @@ impl Matrix {
             .map(|tile| {
                 // A piece of the tile serves all columns while it is near.
                 let mut sums = vec![[[0.0; LANES]; 2]; columns.len()];
-                wide(
+                widest(
                     #[inline(always)]
                     || {
                         for (piece, entries) in tile.chunks(COLUMNS).enumerate() {
@@ -80,7 +81,7 @@ impl Matrix {
                 let first = chunk * COLUMNS;
                 let last = (first + COLUMNS).min(self.size);
                 let mut sums = vec![[[0.0; LANES]; COLUMNS]; columns.len()];
-                wide(
+                widest(
                     #[inline(always)]
                     || {
                         for (index, tile) in self.lanes.chunks(self.size.max(1)).enumerate() {

@@ -3,7 +3,7 @@
 use moldline_mesh::SurfaceMesh;
 
 use crate::{
-    Monitor, Options, PanelError, Solution, Solver,
+    Monitor, Options, PanelError, Solution, Solver, Stage,
     gradient::Stencils,
     topology::Panels,
     trefftz::Trace,
@@ -106,7 +106,7 @@ impl PanelSetup {
         &self,
         vertices: &[[f64; 3]],
         mach: f64,
-        monitor: &dyn Monitor,
+        monitor: &dyn Monitor<Stage>,
     ) -> Result<Solution, PanelError> {
         Solution::new(std::sync::Arc::new(self.clone()), vertices, mach, monitor)
     }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use moldline_mesh::Vector3;
 
 use crate::{
-    Flow, Monitor, PanelError, PanelSetup, Scalars,
+    Flow, Monitor, PanelError, PanelSetup, Scalars, Stage,
     gradient::Gradients,
     influence::Influence,
     kutta::Kutta,
@@ -115,7 +115,7 @@ impl Solution {
         setup: Arc<PanelSetup>,
         vertices: &[[f64; 3]],
         mach: f64,
-        monitor: &dyn Monitor,
+        monitor: &dyn Monitor<Stage>,
     ) -> Result<Self, PanelError> {
         check("mach", mach, 0.0, MAX_MACH)?;
         let expected = setup.panels.vertices;
@@ -301,7 +301,7 @@ impl<const B: usize> State<B> {
         setup: &PanelSetup,
         points: &[Vector3],
         mach: f64,
-        monitor: &dyn Monitor,
+        monitor: &dyn Monitor<Stage>,
     ) -> Result<Self, PanelError> {
         let panels = &setup.panels;
         let surface = Surface::new(panels, points, mach)?;

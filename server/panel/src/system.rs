@@ -69,7 +69,7 @@ impl System {
         matrix: Matrix,
         solver: Solver,
         centres: &[Vector3],
-        monitor: &dyn Monitor,
+        monitor: &dyn Monitor<Stage>,
     ) -> Result<Self, PanelError> {
         let report = |fraction: f64| {
             monitor.progress(Stage::Factorisation, fraction);
@@ -92,7 +92,7 @@ impl System {
         right: &[Vec<f64>],
         transposed: bool,
         tolerance: f64,
-        monitor: &dyn Monitor,
+        monitor: &dyn Monitor<Stage>,
     ) -> Result<Solved, PanelError> {
         let solved = match &self.factor {
             Factors::Blocks(blocks) => self.gmres(blocks, right, transposed, tolerance, monitor)?,
@@ -115,7 +115,7 @@ impl System {
         right: &[Vec<f64>],
         transposed: bool,
         tolerance: f64,
-        monitor: &dyn Monitor,
+        monitor: &dyn Monitor<Stage>,
     ) -> Result<Solved, PanelError> {
         let sizes: Vec<f64> = right.iter().map(|b| largest(b)).collect();
         let mut columns = vec![vec![0.0; self.matrix.size()]; right.len()];
@@ -159,7 +159,7 @@ impl System {
         right: &[Vec<f64>],
         transposed: bool,
         tolerance: f64,
-        monitor: &dyn Monitor,
+        monitor: &dyn Monitor<Stage>,
     ) -> Result<Solved, PanelError> {
         let mut solved = Solved { columns: Vec::with_capacity(right.len()), residual: 0.0, rounds: 0 };
         for b in right {
@@ -196,7 +196,7 @@ impl System {
         transposed: bool,
         aim: f64,
         iterations: &mut usize,
-        monitor: &dyn Monitor,
+        monitor: &dyn Monitor<Stage>,
     ) -> Result<Vec<f64>, PanelError> {
         let norm = dot(b, b).sqrt();
         let mut basis = vec![b.iter().map(|x| x / norm).collect::<Vec<f64>>()];

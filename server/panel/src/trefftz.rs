@@ -11,20 +11,13 @@
 //! body to the plane of symmetry, it is constant, and counts in the lift. Without a plane of symmetry it goes on linearly to the
 //! mean of what arrives at the body's aft end.
 
+use moldline_foundation::quadrature::GAUSS_4;
 use moldline_mesh::Vector3;
 
 use crate::{
     topology::Panels,
     wake::{Beside, Wakes},
 };
-
-/// Nodes and weights of Gauss's rule on -1..1.
-const GAUSS: [(f64, f64); 4] = [
-    (-0.861_136_311_594_052_6, 0.347_854_845_137_453_85),
-    (-0.339_981_043_584_856_26, 0.652_145_154_862_546_1),
-    (0.339_981_043_584_856_26, 0.652_145_154_862_546_1),
-    (0.861_136_311_594_052_6, 0.347_854_845_137_453_85),
-];
 
 /// A point of the trace: weighted points of the surface.
 type End = [(u32, f64); 2];
@@ -239,7 +232,7 @@ impl Trace {
                 let mut value = 0.0;
                 let mut gradient = [[0.0; 2]; 4];
                 let mut add = |sign: f64, p: Plane, q: Plane, flip: f64| {
-                    for (node, weight) in GAUSS {
+                    for (node, weight) in GAUSS_4 {
                         let (wa, wb) = (0.5 * (1.0 - node), 0.5 * (1.0 + node));
                         let x = [wa * a[0] + wb * b[0], wa * a[1] + wb * b[1]];
                         let (f, [fx, fp, fq]) = inner(x, p, q);

@@ -155,7 +155,7 @@ fn over_panel(corners: &[Vector3; 4], depth: u32, f: &impl Fn(&Vector3) -> f64) 
 mod tests {
     use super::*;
     use crate::{
-        Options, PanelSetup, Silent, Solution, Symmetry, TrailingEdges,
+        NoMonitor, Options, PanelSetup, Solution, Symmetry, TrailingEdges,
         influence::Influence,
         meshes::Wing,
         solution::{AnyState, State},
@@ -198,7 +198,7 @@ mod tests {
     }
 
     fn solve(mesh: &moldline_mesh::SurfaceMesh, options: Options, mach: f64) -> Solution {
-        PanelSetup::new(mesh, options).unwrap().solve(&mesh.vertices, mach, &Silent).unwrap()
+        PanelSetup::new(mesh, options).unwrap().solve(&mesh.vertices, mach, &NoMonitor).unwrap()
     }
 
     /// The reaction on the body, closed along the vortices, against the velocity summed along them: a swept wing with dihedral as one half

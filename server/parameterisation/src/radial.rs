@@ -2,6 +2,7 @@
 //! station, and the point c of the centre line at that station. c is carried along by the earlier operations, so that
 //! the scaling stays radial when the body has been moved or turned.
 
+use moldline_foundation::smooth_step::smooth_step;
 use moldline_spline::Vector3;
 use nalgebra::convert;
 
@@ -31,11 +32,6 @@ pub(crate) fn taper(stations: &[f64; 4], x: f64) -> f64 {
 /// 0 before `from`, 1 after `to`, linear between; a jump where the two coincide.
 fn ramp(x: f64, from: f64, to: f64) -> f64 {
     if from < to { ((x - from) / (to - from)).clamp(0.0, 1.0) } else { f64::from(x >= from) }
-}
-
-/// The quintic with vanishing first and second derivatives at 0 and 1.
-fn smooth_step(t: f64) -> f64 {
-    t * t * t * (10.0 + t * (6.0 * t - 15.0))
 }
 
 impl RadialScale {

@@ -5,7 +5,7 @@
 
 use std::{collections::BTreeMap, sync::Arc};
 
-use moldline_deform::{Deformation, Linearisation, Monitor, Setup, Tangent};
+use moldline_deform::{Deformation, Linearisation, Monitor, Setup, Stage, Tangent};
 use moldline_parameterisation::{ControlPoints, Override, Parameterisation};
 use moldline_store::Numbers;
 
@@ -142,7 +142,7 @@ impl Resolved {
         id: String,
         setup_id: SetupId,
         setup: &Arc<Setup>,
-        monitor: &dyn Monitor,
+        monitor: &dyn Monitor<Stage>,
     ) -> Result<Linearised, ServiceError> {
         let points = setup.parameterisation().control_points_with(&self.vector, &self.overrides)?;
         let engine = setup.linearise_control_points(&points, monitor)?;

@@ -56,7 +56,7 @@ impl<F: Fn(Progress) + Sync> Reporter<F> {
     }
 }
 
-impl<F: Fn(Progress) + Sync> Monitor for Reporter<F> {
+impl<F: Fn(Progress) + Sync> Monitor<Stage> for Reporter<F> {
     fn progress(&self, stage: Stage, fraction: f64) {
         /// Smaller steps within a stage are not told.
         const STEP: f64 = 0.01;

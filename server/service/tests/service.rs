@@ -131,7 +131,7 @@ async fn deform_gives_the_engines_bits_whatever_the_number_of_threads() {
         let setup = create(&service, "ball").await.unwrap();
         let session = open(&service, &setup).await;
         let deformed = service.deform(&local(), &session, moved(1.5)).await.unwrap();
-        let direct = engine(&service, &setup).await.deform(&[1.5], &moldline_deform::Silent).unwrap();
+        let direct = engine(&service, &setup).await.deform(&[1.5], &moldline_deform::NoMonitor).unwrap();
         assert_eq!(deformed.deformation().vertices, direct.vertices);
         results.push((deformed.deformation().vertices.clone(), deformed.id().to_owned()));
     }

@@ -22,5 +22,4 @@ pub use refine::LinearRow;
 pub use surface::{Surface, SurfaceJet, SurfacePoint};
 pub use volume::{LocateError, Volume, VolumeWeights};
 
-/// A point or vector of space, in metres.
-pub type Vector3 = nalgebra::Vector3<f64>;
+pub use moldline_foundation::Vector3;

@@ -4,7 +4,7 @@
 
 use std::path::Path;
 
-use moldline_deform::{Options, Setup, Silent};
+use moldline_deform::{NoMonitor, Options, Setup};
 use moldline_setup::{Limits, read_folder, read_setup};
 
 /// The set-up in a folder of the repository, with other options.
@@ -14,7 +14,7 @@ pub fn setup(folder: &str, change: impl Fn(&mut Options)) -> Setup {
     let (files, setup_file) = read_folder(&path, &limits).expect("is there");
     let mut input = read_setup(&files, Some(&setup_file), &limits).expect("is valid").input;
     change(&mut input.options);
-    Setup::build(input, &Silent).expect("is a set-up")
+    Setup::build(input, &NoMonitor).expect("is a set-up")
 }
 
 /// A design at a fraction of the way from the baseline to a bound, upper and lower in turn.

@@ -2,9 +2,10 @@
 //! number is summed in one order, whatever the number of threads.
 
 use faer::Mat;
+use moldline_foundation::simd::widest;
 use rayon::prelude::*;
 
-use super::{LANES, wide};
+use super::LANES;
 
 /// Unknowns found one after another before they are taken from the rest, and rows of a tile.
 const TILE: usize = 64;
@@ -55,7 +56,7 @@ fn forward(lower: &Mat<f64>, b: &mut Tiles) {
         let found = &*found;
         rest.par_chunks_mut(TILES * length).enumerate().for_each(|(task, rest)| {
             let begin = last + task * TILES * TILE;
-            wide(
+            widest(
                 #[inline(always)]
                 || {
                     for j in first..last {
@@ -83,7 +84,7 @@ fn backward(lower: &Mat<f64>, b: &mut Tiles) {
         let (rest, found) = b.values.split_at_mut((first / TILE + 1) * length);
         let found = &*found;
         known.par_chunks_mut(columns).with_min_len(UNKNOWNS).zip(first..last).for_each(|(known, j)| {
-            wide(
+            widest(
                 #[inline(always)]
                 || {
                     known.fill(0.0);

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use moldline_mesh::{Limits, SurfaceMesh, io::msh};
 use moldline_panel::{
-    Flow, Inputs, Options, Outputs, PanelSetup, Reference, Scalars, Silent, Solution, Solver, Symmetry,
+    Flow, Inputs, NoMonitor, Options, Outputs, PanelSetup, Reference, Scalars, Solution, Solver, Symmetry,
     TrailingEdges,
 };
 
@@ -52,7 +52,7 @@ impl Case {
     }
 
     fn solution(&self) -> Arc<Solution> {
-        Arc::new(self.setup.solve(&self.vertices, self.mach, &Silent).unwrap())
+        Arc::new(self.setup.solve(&self.vertices, self.mach, &NoMonitor).unwrap())
     }
 
     /// Outputs a step along a direction.
@@ -67,7 +67,7 @@ impl Case {
         flow.reference.area += step * direction.area;
         flow.reference.chord += step * direction.chord;
         (0..3).for_each(|k| flow.reference.point[k] += step * direction.point[k]);
-        let solution = self.setup.solve(&vertices, self.mach + step * direction.mach, &Silent).unwrap();
+        let solution = self.setup.solve(&vertices, self.mach + step * direction.mach, &NoMonitor).unwrap();
         let analysis = solution.analyse(&flow).unwrap();
         Outputs {
             scalars: analysis.scalars,
@@ -154,7 +154,7 @@ fn products_agree_with_central_differences() {
             direction.vertices = nearly_symmetric(&case.vertices, &direction.vertices);
         }
         let linearisation = case.solution().linearise(&case.flow).unwrap();
-        let exact = numbers(&linearisation.jvp(std::slice::from_ref(&direction), &Silent).unwrap()[0]);
+        let exact = numbers(&linearisation.jvp(std::slice::from_ref(&direction), &NoMonitor).unwrap()[0]);
         let scale = 1e-5;
         // Fourth order: two central differences.
         let values = numbers(&case.moved(&direction, 0.0));
@@ -189,7 +189,7 @@ fn circulation_over_a_body() {
     let bent = |v: &[f64; 3]| [0.2 * v[1].abs(), 0.05 * v[1], 0.01 * v[0] * v[2] + 0.02 * v[1] * v[1]];
     let way = Inputs { vertices: case.vertices.iter().map(bent).collect(), ..Inputs::default() };
     let linearisation = case.solution().linearise(&case.flow).unwrap();
-    let exact = linearisation.jvp(std::slice::from_ref(&way), &Silent).unwrap().swap_remove(0);
+    let exact = linearisation.jvp(std::slice::from_ref(&way), &NoMonitor).unwrap().swap_remove(0);
     let at = |size: f64| case.moved(&way, size).scalars.to_array();
     let size = 1e-5;
     let [a, b, c, d] = [-2.0 * size, -size, size, 2.0 * size].map(at);
@@ -208,8 +208,8 @@ fn transposes_agree() {
         let linearisation = solution.linearise(&case.flow).unwrap();
         let directions: Vec<Inputs> = (0..3).map(|_| case.random_direction(&mut random)).collect();
         let seeds: Vec<Outputs> = (0..3).map(|_| case.random_seed(&mut random, &solution)).collect();
-        let forward = linearisation.jvp(&directions, &Silent).unwrap();
-        let backward = linearisation.vjp(&seeds, &Silent).unwrap();
+        let forward = linearisation.jvp(&directions, &NoMonitor).unwrap();
+        let backward = linearisation.vjp(&seeds, &NoMonitor).unwrap();
         for (direction, tangent) in directions.iter().zip(&forward) {
             for (seed, gradient) in seeds.iter().zip(&backward) {
                 let terms = numbers(tangent).into_iter().zip(numbers(seed)).map(|(a, b)| a * b);

@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use moldline_mesh::{Cell, SurfaceMesh};
-use moldline_panel::{Flow, Inputs, Options, Outputs, PanelSetup, Scalars, Silent, Symmetry};
+use moldline_panel::{Flow, Inputs, NoMonitor, Options, Outputs, PanelSetup, Scalars, Symmetry};
 use num_dual::{Dual64, DualNum};
 
 use crate::{
@@ -256,7 +256,7 @@ fn agrees_with_dual_numbers() {
         let options = Options { symmetry: Symmetry::None, ..Options::default() };
         let setup = Arc::new(PanelSetup::new(&mesh, options).unwrap());
         let (mach, flow) = (0.4, flow(0.0));
-        let solution = Arc::new(setup.solve(&mesh.vertices, mach, &Silent).unwrap());
+        let solution = Arc::new(setup.solve(&mesh.vertices, mach, &NoMonitor).unwrap());
         let analysis = solution.analyse(&flow).unwrap();
         let mut random = Random::new(3);
         let direction = Inputs {
@@ -268,7 +268,7 @@ fn agrees_with_dual_numbers() {
         let tangent: Outputs = solution
             .linearise(&flow)
             .unwrap()
-            .jvp(std::slice::from_ref(&direction), &Silent)
+            .jvp(std::slice::from_ref(&direction), &NoMonitor)
             .unwrap()
             .remove(0);
 

@@ -1,6 +1,6 @@
 //! Flows with known solutions.
 
-use moldline_panel::{Flow, Options, PanelSetup, Reference, Silent, Symmetry, TrailingEdges};
+use moldline_panel::{Flow, NoMonitor, Options, PanelSetup, Reference, Symmetry, TrailingEdges};
 
 use crate::meshes::{Wing, sphere};
 
@@ -23,7 +23,7 @@ fn sphere_pressure() {
         let errors = [8, 16].map(|n| {
             let mesh = sphere(n);
             let setup = PanelSetup::new(&mesh, body(symmetry)).unwrap();
-            let solution = setup.solve(&mesh.vertices, 0.0, &Silent).unwrap();
+            let solution = setup.solve(&mesh.vertices, 0.0, &NoMonitor).unwrap();
             let a = solution.analyse(&flow(0.0, 1.0)).unwrap();
             let mut sum = 0.0;
             for (cell, cp) in mesh.cells.iter().zip(&a.cp) {
@@ -49,7 +49,7 @@ fn rectangular_wing() {
     for (around, along, lift, apart) in [(32, 20, 0.4323, 4e-3), (60, 40, 0.4315, 1e-3)] {
         let mesh = Wing::rectangular(around, along).mesh();
         let setup = PanelSetup::new(&mesh, Options::default()).unwrap();
-        let solution = setup.solve(&mesh.vertices, 0.0, &Silent).unwrap();
+        let solution = setup.solve(&mesh.vertices, 0.0, &NoMonitor).unwrap();
         let a = solution.analyse(&flow(5.0, 8.0)).unwrap();
         let cl = a.scalars.lift;
         assert!((cl / lift - 1.0).abs() <= 0.01, "C_L = {cl}");
@@ -75,7 +75,7 @@ fn elliptic_wing() {
     };
     let mesh = wing.mesh();
     let setup = PanelSetup::new(&mesh, Options::default()).unwrap();
-    let solution = setup.solve(&mesh.vertices, 0.0, &Silent).unwrap();
+    let solution = setup.solve(&mesh.vertices, 0.0, &NoMonitor).unwrap();
     // Coefficients by the square of the span.
     let a = solution.analyse(&flow(4.0, 64.0)).unwrap();
     let efficiency = a.scalars.lift.powi(2) / (std::f64::consts::PI * a.scalars.induced_drag);
@@ -90,7 +90,7 @@ fn induced_drag_of_the_rectangular_wing() {
     for (around, along) in [(32, 20), (40, 40)] {
         let mesh = Wing { half: true, ..Wing::rectangular(around, along) }.mesh();
         let setup = PanelSetup::new(&mesh, Options::default()).unwrap();
-        let solution = setup.solve(&mesh.vertices, 0.0, &Silent).unwrap();
+        let solution = setup.solve(&mesh.vertices, 0.0, &NoMonitor).unwrap();
         let a = solution.analyse(&flow(5.0, 64.0)).unwrap();
         let efficiency = a.scalars.lift.powi(2) / (std::f64::consts::PI * a.scalars.induced_drag);
         assert!((0.952..0.972).contains(&efficiency), "{around} x {along}: {efficiency}");
@@ -110,7 +110,7 @@ fn swept_wing() {
         };
         let mesh = wing.mesh();
         let setup = PanelSetup::new(&mesh, Options::default()).unwrap();
-        let solution = setup.solve(&mesh.vertices, mach, &Silent).unwrap();
+        let solution = setup.solve(&mesh.vertices, mach, &NoMonitor).unwrap();
         let a = solution.analyse(&flow(5.0, 8.0)).unwrap();
         assert!(a.disagreement.abs() <= 0.01, "Mach {mach}: {}", a.disagreement);
         assert!(a.scalars.lift > 0.3, "Mach {mach}: {}", a.scalars.lift);

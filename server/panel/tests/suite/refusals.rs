@@ -2,7 +2,8 @@
 
 use moldline_mesh::{Cell, SurfaceMesh};
 use moldline_panel::{
-    Inputs, Monitor, Options, Outputs, PanelError, PanelSetup, Silent, Solver, Stage, Symmetry, TrailingEdges,
+    Inputs, Monitor, NoMonitor, Options, Outputs, PanelError, PanelSetup, Solver, Stage, Symmetry,
+    TrailingEdges,
 };
 use std::sync::Arc;
 
@@ -94,7 +95,7 @@ fn too_much_memory_is_refused_before_it_is_taken() {
 fn positions_and_flows_that_make_no_sense() {
     let mesh = wing(false, false);
     let setup = Arc::new(PanelSetup::new(&mesh, Options::default()).unwrap());
-    let solve = |vertices: &[[f64; 3]], mach| setup.solve(vertices, mach, &Silent).err().unwrap();
+    let solve = |vertices: &[[f64; 3]], mach| setup.solve(vertices, mach, &NoMonitor).err().unwrap();
     for mach in [-0.1, 0.95, 1.2, f64::NAN] {
         assert!(matches!(
             solve(&mesh.vertices, mach),
@@ -120,9 +121,9 @@ fn positions_and_flows_that_make_no_sense() {
     }
     let whole = Options { symmetry: Symmetry::None, ..Options::default() };
     let full = PanelSetup::new(&mesh, whole).unwrap();
-    assert!(matches!(full.solve(&vertices, 0.0, &Silent), Err(PanelError::ZeroArea { cell: 50, .. })));
+    assert!(matches!(full.solve(&vertices, 0.0, &NoMonitor), Err(PanelError::ZeroArea { cell: 50, .. })));
 
-    let solution = Arc::new(setup.solve(&mesh.vertices, 0.3, &Silent).unwrap());
+    let solution = Arc::new(setup.solve(&mesh.vertices, 0.3, &NoMonitor).unwrap());
     assert_eq!(solution.analyse(&flow(0.1)).err(), Some(PanelError::Sideslip { sideslip: 0.1 }));
     let mut bad = flow(0.0);
     bad.reference.area = 0.0;
@@ -133,12 +134,12 @@ fn positions_and_flows_that_make_no_sense() {
     let linearisation = solution.linearise(&flow(0.0)).unwrap();
     let seed = Outputs { cp: vec![1.0; 3], ..Outputs::default() };
     assert!(matches!(
-        linearisation.vjp(&[seed], &Silent),
+        linearisation.vjp(&[seed], &NoMonitor),
         Err(PanelError::Length { field, got: 3, .. }) if field == "seeds[0].cp"
     ));
     let direction = Inputs { alpha: f64::INFINITY, ..Inputs::default() };
     assert!(matches!(
-        linearisation.jvp(&[direction], &Silent),
+        linearisation.jvp(&[direction], &NoMonitor),
         Err(PanelError::OutOfRange { field, .. }) if field == "directions[0].alpha"
     ));
 }
@@ -179,7 +180,7 @@ fn a_wake_that_cuts_a_body() {
     block(&mut builder, [4.0, 0.3, -1.0], [1.0, 0.6, 2.0]);
     let mesh = builder.finish();
     let setup = PanelSetup::new(&mesh, Options { symmetry: Symmetry::None, ..Options::default() }).unwrap();
-    match setup.solve(&mesh.vertices, 0.0, &Silent) {
+    match setup.solve(&mesh.vertices, 0.0, &NoMonitor) {
         Err(PanelError::WakeCutsBody { cell, x, .. }) => assert!(cell >= first && (4.0..=5.0).contains(&x)),
         other => panic!("{:?}", other.err()),
     }
@@ -190,12 +191,12 @@ fn a_wake_that_cuts_a_body() {
             vertices[*v as usize][2] = mesh.vertices[*v as usize][2] + 3.0;
         }
     }
-    assert!(setup.solve(&vertices, 0.0, &Silent).is_ok());
+    assert!(setup.solve(&vertices, 0.0, &NoMonitor).is_ok());
 }
 
 struct Impatient;
 
-impl Monitor for Impatient {
+impl Monitor<Stage> for Impatient {
     fn progress(&self, _: Stage, _: f64) {}
 
     fn cancelled(&self) -> bool {
@@ -209,7 +210,7 @@ fn cancelled_work_stops() {
     for solver in [Solver::Double, Solver::Single, Solver::Iterative] {
         let setup = Arc::new(PanelSetup::new(&mesh, Options { solver, ..Options::default() }).unwrap());
         assert_eq!(setup.solve(&mesh.vertices, 0.0, &Impatient).err(), Some(PanelError::Cancelled));
-        let solution = Arc::new(setup.solve(&mesh.vertices, 0.0, &Silent).unwrap());
+        let solution = Arc::new(setup.solve(&mesh.vertices, 0.0, &NoMonitor).unwrap());
         let linearisation = solution.linearise(&flow(0.0)).unwrap();
         assert_eq!(linearisation.vjp(&[Outputs::default()], &Impatient).err(), Some(PanelError::Cancelled));
     }

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use moldline_panel::{Analysis, Options, Outputs, PanelSetup, Scalars, Silent, Solution, Solver};
+use moldline_panel::{Analysis, NoMonitor, Options, Outputs, PanelSetup, Scalars, Solution, Solver};
 
 use crate::{flow::flow, meshes::Wing};
 
@@ -11,7 +11,7 @@ fn solution(solver: Solver, tolerance: f64) -> Arc<Solution> {
     let mesh = Wing { half: true, ..Wing::rectangular(40, 48) }.mesh();
     let setup = PanelSetup::new(&mesh, Options { solver, tolerance, ..Options::default() }).unwrap();
     assert!(setup.summary().unknowns > 900);
-    Arc::new(setup.solve(&mesh.vertices, 0.4, &Silent).unwrap())
+    Arc::new(setup.solve(&mesh.vertices, 0.4, &NoMonitor).unwrap())
 }
 
 fn analysis(solver: Solver, tolerance: f64) -> Analysis {
@@ -58,8 +58,8 @@ fn threads_do_not_change_a_bit() {
                     Outputs { scalars: Scalars::from_array(values), ..Outputs::default() }
                 };
                 let linearisation = solution.linearise(&flow(3.0, 8.0)).unwrap();
-                let gradients = linearisation.vjp(&[seed(0), seed(4)], &Silent).unwrap();
-                let tangents = linearisation.jvp(&gradients, &Silent).unwrap();
+                let gradients = linearisation.vjp(&[seed(0), seed(4)], &NoMonitor).unwrap();
+                let tangents = linearisation.jvp(&gradients, &NoMonitor).unwrap();
                 let of_tangents =
                     tangents.iter().flat_map(|t| t.scalars.to_array().into_iter().chain(t.cp.clone()));
                 let of_gradients = gradients.iter().flat_map(|g| g.vertices.iter().flatten().copied());

@@ -1,25 +1,6 @@
-//! Progress and cancellation of long work, seen from the engine.
+//! Stages of set-up and deformation, for progress reports.
 
-/// Told how far the work has come, and asked whether to go on.
-pub trait Monitor: Sync {
-    /// `stage` has come to `fraction` (0..=1) of its work.
-    fn progress(&self, stage: Stage, fraction: f64);
-
-    /// Whether the caller has lost interest. Polled inside loops; work then ends with a `Cancelled` error.
-    fn cancelled(&self) -> bool {
-        false
-    }
-}
-
-/// Reports nothing and is never cancelled.
-#[derive(Clone, Copy, Debug, Default)]
-pub struct Silent;
-
-impl Monitor for Silent {
-    fn progress(&self, _: Stage, _: f64) {}
-}
-
-/// What is being done, in the order in which it is done.
+/// A stage of a computation, in the order in which they run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Stage {
     /// Set-up: topology and symmetry of the mesh.
@@ -47,11 +28,11 @@ pub enum Stage {
 }
 
 impl Stage {
-    /// Those of a set-up.
+    /// The stages of a set-up, in order.
     pub const OF_SETUP: [Self; 6] =
         [Self::Mesh, Self::Ownership, Self::Seams, Self::Training, Self::Factorisation, Self::Report];
 
-    /// A word for people and protocols.
+    /// Its name in reports and protocols.
     pub fn name(self) -> &'static str {
         match self {
             Self::Mesh => "mesh",
@@ -67,14 +48,6 @@ impl Stage {
             Self::Quality => "quality",
         }
     }
-
-    /// The stages of a set-up.
-    pub const SETUP: [Self; 6] =
-        [Self::Mesh, Self::Ownership, Self::Seams, Self::Training, Self::Factorisation, Self::Report];
-
-    /// The stages of a deformation.
-    pub const DEFORM: [Self; 5] =
-        [Self::Geometry, Self::SeamSearch, Self::Field, Self::Projection, Self::Quality];
 }
 
 impl std::fmt::Display for Stage {
