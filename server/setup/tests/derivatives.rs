@@ -7,7 +7,7 @@
 use std::{path::Path, sync::Arc};
 
 use moldline_deform::{
-    DeformError, Kernel, Linearisation, Options, OuterMoldLine, Propagation, Setup, Silent, Tangent,
+    DeformError, Kernel, Linearisation, NoMonitor, Options, OuterMoldLine, Propagation, Setup, Tangent,
 };
 use moldline_setup::{Limits, read_folder, read_setup};
 
@@ -16,7 +16,7 @@ fn setup(folder: &str, change: impl Fn(&mut Options)) -> Arc<Setup> {
     let (files, setup_file) = read_folder(&folder, &Limits::default()).unwrap();
     let mut content = read_setup(&files, Some(&setup_file), &Limits::default()).unwrap();
     change(&mut content.input.options);
-    Arc::new(Setup::build(content.input, &Silent).unwrap())
+    Arc::new(Setup::build(content.input, &NoMonitor).unwrap())
 }
 
 /// splitmix64.
@@ -67,7 +67,7 @@ fn against_differences(linearisation: &Linearisation, direction: &[f64], range: 
     let at = |t: f64| {
         let design: Vec<f64> = design.iter().zip(direction).map(|(x, d)| x + t * d).collect();
         let control_points = setup.parameterisation().control_points(&design).unwrap();
-        let deformation = setup.deform_control_points(&control_points, &Silent).unwrap();
+        let deformation = setup.deform_control_points(&control_points, &NoMonitor).unwrap();
         (deformation.vertices, deformation.functions)
     };
     let size = dot(&tangent.vertices, &tangent.vertices).sqrt();
@@ -153,7 +153,7 @@ fn products_agree_with_differences_and_with_their_transposes() {
             let setup = setup(folder, change);
             let mut random = Random(7);
             let design = design(&setup, 0.35, &mut random);
-            let linearisation = setup.linearise(&design, &Silent).unwrap();
+            let linearisation = setup.linearise(&design, &NoMonitor).unwrap();
             let gap = dot_product_gap(&linearisation, 3, &mut random);
             assert!(gap <= 1e-12, "{folder}, {name}: dot products differ by {gap:e}");
             for (i, variable) in setup.parameterisation().variables().iter().enumerate() {
@@ -173,8 +173,8 @@ fn the_e175_has_exact_products_far_from_its_baseline() {
         let mut random = Random(3);
         for share in [0.0, 0.5] {
             let design = design(&setup, share, &mut random);
-            let linearisation = setup.linearise(&design, &Silent).unwrap();
-            let plain = setup.deform(&design, &Silent).unwrap();
+            let linearisation = setup.linearise(&design, &NoMonitor).unwrap();
+            let plain = setup.deform(&design, &NoMonitor).unwrap();
             assert_eq!(plain.vertices, linearisation.deformation().vertices);
             for k in [1, design.len()] {
                 let gap = dot_product_gap(&linearisation, k, &mut random);
@@ -196,7 +196,7 @@ fn the_e175_has_exact_products_far_from_its_baseline() {
 fn scalar_outputs_are_those_of_the_aircraft() {
     let setup = setup("examples/e175", |_| {});
     let design = setup.parameterisation().baseline();
-    let deformation = setup.deform(&design, &Silent).unwrap();
+    let deformation = setup.deform(&design, &NoMonitor).unwrap();
     let value = |name: &str| {
         let index = setup.functions().iter().position(|f| f.name == name);
         deformation.functions[index.unwrap_or_else(|| panic!("{name}"))]
@@ -241,8 +241,8 @@ fn control_points_are_inputs_too() {
     let mut random = Random(5);
     let design = design(&setup, 0.3, &mut random);
     let control_points = setup.parameterisation().control_points(&design).unwrap();
-    let by_design = setup.linearise(&design, &Silent).unwrap();
-    let by_points = setup.linearise_control_points(&control_points, &Silent).unwrap();
+    let by_design = setup.linearise(&design, &NoMonitor).unwrap();
+    let by_points = setup.linearise_control_points(&control_points, &NoMonitor).unwrap();
     assert!(matches!(by_points.jvp(std::slice::from_ref(&design)), Err(DeformError::NoDesign)));
 
     // A direction in design space is one of control points.
@@ -276,7 +276,7 @@ fn products_do_not_depend_on_threads() {
     let run = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
-            let linearisation = setup.linearise(&design, &Silent).unwrap();
+            let linearisation = setup.linearise(&design, &NoMonitor).unwrap();
             let mut random = Random(1);
             let seeds: Vec<Tangent> = (0..3).map(|_| random.seed(&setup)).collect();
             let directions: Vec<Vec<f64>> =

@@ -7,13 +7,13 @@ use std::{
     time::{Duration, Instant},
 };
 
-use moldline_deform::{Derived, Monitor, Setup, Silent, Stage};
+use moldline_deform::{Derived, Monitor, NoMonitor, Setup, Stage};
 use moldline_setup::{Limits, decode_derived, encode_derived, read_folder, read_setup};
 
 /// When each stage was heard of first.
 struct Watch(Mutex<Vec<(Stage, Instant)>>);
 
-impl Monitor for Watch {
+impl Monitor<Stage> for Watch {
     fn progress(&self, stage: Stage, _: f64) {
         let mut seen = self.0.lock().unwrap();
         if seen.last().is_none_or(|(last, _)| *last != stage) {
@@ -56,7 +56,7 @@ fn a_restored_set_up_has_the_same_bits() {
         let (low, high) = (variable.lower.max(*x - 1.0), variable.upper.min(*x + 1.0));
         *x = 0.7 * *x + 0.3 * (0.25 * low + 0.75 * high);
     }
-    let (a, b) = (built.deform(&design, &Silent).unwrap(), restored.deform(&design, &Silent).unwrap());
+    let (a, b) = (built.deform(&design, &NoMonitor).unwrap(), restored.deform(&design, &NoMonitor).unwrap());
     assert_eq!(a.vertices, b.vertices);
     assert_eq!(a.functions, b.functions);
 
@@ -68,7 +68,7 @@ fn a_restored_set_up_has_the_same_bits() {
     other.fields[0].lower.pop();
     other.fields.truncate(1);
     for derived in [other, Derived::default()] {
-        let again = Setup::restore(input.clone(), derived, &Silent).unwrap();
+        let again = Setup::restore(input.clone(), derived, &NoMonitor).unwrap();
         assert_eq!(again.derived(), built.derived());
     }
 }

@@ -7,7 +7,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use moldline_deform::{
-    DeformError, Deformation, Hold, Kernel, OuterMoldLine, Propagation, Setup, SetupError, Silent,
+    DeformError, Deformation, Hold, Kernel, NoMonitor, OuterMoldLine, Propagation, Setup, SetupError,
     ownership::Freedom,
 };
 use moldline_geometry::{Body, Vector3};
@@ -24,11 +24,11 @@ fn content(folder: &str) -> SetupContent {
 }
 
 fn build(content: SetupContent) -> Result<Setup, SetupError> {
-    Setup::build(content.input, &Silent)
+    Setup::build(content.input, &NoMonitor)
 }
 
 fn deform(setup: &Setup, values: &[(&str, f64)]) -> Result<Deformation, DeformError> {
-    setup.deform(&setup.parameterisation().design(values.iter().copied()).unwrap(), &Silent)
+    setup.deform(&setup.parameterisation().design(values.iter().copied()).unwrap(), &NoMonitor)
 }
 
 fn bodies(setup: &Setup, values: &[(&str, f64)]) -> Vec<Body> {
@@ -266,7 +266,7 @@ fn a_seam_without_a_root_is_an_error_with_vertices() {
     let mut points = setup.parameterisation().control_points(&setup.parameterisation().baseline()).unwrap();
     // The boom, lifted off the wing.
     points[1].iter_mut().for_each(|p| p[2] += 3.0);
-    let error = setup.deform_control_points(&points, &Silent).unwrap_err();
+    let error = setup.deform_control_points(&points, &NoMonitor).unwrap_err();
     let DeformError::SeamLost { count, worst, .. } = &error else { panic!("{error}") };
     assert!(*count > 0 && worst[0].distance > 1.0, "{error}");
     deform(&setup, &[]).unwrap();
@@ -278,10 +278,10 @@ fn control_points_that_do_not_fit_are_refused() {
     let good = setup.parameterisation().control_points(&setup.parameterisation().baseline()).unwrap();
     let mut short = good.clone();
     short[2].pop();
-    assert!(matches!(setup.deform_control_points(&short, &Silent), Err(DeformError::ControlPoints(_))));
+    assert!(matches!(setup.deform_control_points(&short, &NoMonitor), Err(DeformError::ControlPoints(_))));
     let mut nan = good;
     nan[0][5][1] = f64::NAN;
-    let error = setup.deform_control_points(&nan, &Silent).unwrap_err().to_string();
+    let error = setup.deform_control_points(&nan, &NoMonitor).unwrap_err().to_string();
     assert!(error.contains("control_points[0][5][1] = NaN"), "{error}");
 }
 
