@@ -2,9 +2,9 @@
 
 use moldline_deform::{
     DeformError, Monitor, OuterMoldLine, Propagation, Setup, Stage,
+    chain::seams::SeamPoint,
     chart::Chart,
     ownership::{Attachment, Freedom},
-    seam::SeamPoint,
 };
 use moldline_geometry::{Body, Location};
 use moldline_mesh::{Laplacian, Topology};
@@ -200,7 +200,7 @@ impl<'a> Chain<'a> {
         let mut motions = Vec::new();
         let mut displacements = vec![Vector::zeros(); setup.positions().len()];
         for (region, system) in setup.fields().iter().zip(&self.systems) {
-            let motion = deformed.motion(region.component, region.chart.as_ref(), &seams)?;
+            let motion = deformed.motion(region.component, region.chart.as_deref(), &seams)?;
             let data = data(&region.field, &motion, |v| match region.component {
                 None => deformed.follow(v) - constants(&setup.positions()[v as usize]),
                 Some(_) => Vector::zeros(),
@@ -282,7 +282,7 @@ impl Deformed<'_> {
         seams: &[DualSeam],
     ) -> Result<Vec<Vector>, CheckError> {
         let setup = self.setup;
-        let motion = |(seam, point): (&moldline_deform::seam::SeamVertex, &DualSeam)| {
+        let motion = |(seam, point): (&moldline_deform::chain::seams::SeamVertex, &DualSeam)| {
             let start = constants(&setup.positions()[seam.vertex as usize]);
             let Some(component) = component else { return Ok(point.position - start) };
             let Some(k) = seam.owners.iter().position(|&o| o == component) else {

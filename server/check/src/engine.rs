@@ -27,12 +27,9 @@ impl Linear for Linearisation {
     }
 
     fn stages(&self, direction: &[f64]) -> Result<Stages, DeformError> {
-        let design = self.design().ok_or(DeformError::NoDesign)?;
-        let map = self.setup().parameterisation().linearise(design)?;
-        let control_points = map.jvp(&[direction])?.swap_remove(0);
-        let stages = Self::stages(self, &control_points)?;
+        let stages = Self::stages(self, &direction.into())?;
         Ok(Stages {
-            control_points,
+            control_points: stages.control_points,
             seam_positions: stages.seam_positions,
             seam_parameters: stages.seam_parameters,
             motions: stages.motions,

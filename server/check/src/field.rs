@@ -2,7 +2,7 @@
 //! entries and sums with twice the digits of a double.
 
 use faer::{Mat, linalg::solvers::Solve};
-use moldline_deform::{Kernel, Options, field::Field};
+use moldline_deform::{Kernel, Options, chain::field::Field};
 use moldline_mesh::Plane;
 use rayon::prelude::*;
 

@@ -8,7 +8,7 @@ use std::ops::{Add, Div, Mul, Sub};
 
 use moldline_deform::{
     Setup,
-    outputs::{Item, quadrature},
+    chain::outputs::{Item, quadrature},
 };
 
 use crate::{
@@ -39,7 +39,7 @@ pub fn functions(setup: &Setup, vertices: &[Vector], bodies: &[DualBody<'_>]) ->
     let motion = Motion::of(vertices);
     let origin = constants(&outputs.origin());
     let position =
-        |at: &moldline_deform::outputs::At| bodies[at.component].position(&At::fixed(&at.location));
+        |at: &moldline_deform::chain::outputs::At| bodies[at.component].position(&At::fixed(&at.location));
     let mut values = Vec::with_capacity(outputs.functions().len());
     for item in outputs.items() {
         match item {

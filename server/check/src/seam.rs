@@ -1,7 +1,7 @@
 //! Seam points in dual numbers: the root of the distances along a line of the reference component, one or two Newton
 //! steps from the engine's root.
 
-use moldline_deform::seam::{Junction, SeamLine, SeamPoint, SeamSearch, SeamSolver, SeamVertex};
+use moldline_deform::chain::seams::{Junction, SeamLine, SeamPoint, SeamSearch, SeamSolver, SeamVertex};
 use moldline_geometry::SmoothUnion;
 use nalgebra::Matrix2;
 use num_dual::DualNum;

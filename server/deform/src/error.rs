@@ -1,11 +1,13 @@
 //! Why a set-up is refused or a deformation fails: what, where, and what to do.
 
+use std::fmt;
+
 use moldline_geometry::ComponentError;
-use moldline_mesh::MeshError;
+use moldline_mesh::{MeshError, symmetry::SymmetryError};
 use moldline_parameterisation::{DesignError, ParameterisationError};
 use thiserror::Error;
 
-use crate::held::Hold;
+use crate::rbf::RbfError;
 
 /// How many offenders an error lists by index.
 pub const LISTED: usize = 20;
@@ -25,6 +27,61 @@ fn list(offenders: &[VertexDistance]) -> String {
         .map(|o| format!("vertices[{}]: {:.3e} m", o.vertex, o.distance))
         .collect::<Vec<_>>()
         .join(", ")
+}
+
+/// What holds a vertex.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Constraint {
+    /// It stays where it is in space.
+    Stationary,
+    /// It keeps to a sharp edge, or to its place on the component.
+    Protected,
+}
+
+impl fmt::Display for Constraint {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Stationary => "stationary",
+            Self::Protected => "protected",
+        })
+    }
+}
+
+/// Why control points do not fit the components of a set-up.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum ControlPointsError {
+    /// Another number of components.
+    #[error("control_points has {found} components, the set-up has {expected}")]
+    Components {
+        /// How many there are.
+        found: usize,
+        /// How many the set-up has.
+        expected: usize,
+    },
+    /// Another number of points.
+    #[error("control_points[{component}] (`{name}`) has {found} points, its patches have {expected}")]
+    Points {
+        /// Index of the component.
+        component: usize,
+        /// Its name.
+        name: String,
+        /// How many points there are.
+        found: usize,
+        /// How many its patches have.
+        expected: usize,
+    },
+    /// A coordinate is NaN or infinite.
+    #[error("control_points[{component}][{point}][{axis}] = {value} is not finite")]
+    NotFinite {
+        /// Index of the component.
+        component: usize,
+        /// Index of the point.
+        point: usize,
+        /// x, y or z.
+        axis: usize,
+        /// The coordinate.
+        value: f64,
+    },
 }
 
 /// Why a set-up is refused.
@@ -52,9 +109,21 @@ pub enum SetupError {
         /// The names there are.
         known: Vec<String>,
     },
-    /// No component at all, or two of one name.
+    /// No component at all.
+    #[error("components: there are none")]
+    NoComponents,
+    /// Two components of one name.
+    #[error("components: the name `{name}` is used twice")]
+    DuplicateComponent {
+        /// The name.
+        name: String,
+    },
+    /// The parameterisation has no control points at its baseline.
     #[error("components: {0}")]
-    Components(String),
+    Baseline(DesignError),
+    /// The control points at the baseline do not fit the components.
+    #[error("components: {0}")]
+    ControlPoints(ControlPointsError),
     /// A component is not a valid surface.
     #[error("components[{index}] (`{name}`): {source}")]
     Component {
@@ -129,7 +198,7 @@ pub enum SetupError {
     },
     /// The mesh is not symmetric though the options say so.
     #[error("options.symmetric = true, but {0}")]
-    NotSymmetric(String),
+    NotSymmetric(SymmetryError),
     /// A seam vertex for which no search line crosses the other component.
     #[error(
         "mesh: seam vertex {vertex} on `{reference}` and `{target}`: no parametric line of either component crosses \
@@ -204,7 +273,7 @@ pub enum SetupError {
         /// Which field.
         field: String,
         /// What is wrong.
-        reason: String,
+        reason: RbfError,
     },
     /// An output is declared wrongly.
     #[error("output `{name}`: {reason}")]
@@ -214,7 +283,7 @@ pub enum SetupError {
         /// What is wrong.
         reason: String,
     },
-    /// The caller lost interest.
+    /// The caller has cancelled.
     #[error("cancelled")]
     Cancelled,
 }
@@ -226,8 +295,8 @@ pub enum DeformError {
     #[error(transparent)]
     Design(#[from] DesignError),
     /// Control points given from outside do not fit the set-up.
-    #[error("{0}")]
-    ControlPoints(String),
+    #[error(transparent)]
+    ControlPoints(#[from] ControlPointsError),
     /// Seam vertices without a root on their line.
     #[error(
         "the seam of `{reference}` with `{target}` left its brackets at {count} vertices ({}{}); the lines are \
@@ -246,13 +315,13 @@ pub enum DeformError {
     },
     /// A held vertex is off its component.
     #[error(
-        "{count} {hold} vertices are farther than {tolerance:.1e} m from their components ({}{}): the components have \
+        "{count} {constraint} vertices are farther than {tolerance:.1e} m from their components ({}{}): the components have \
          moved away from them; hold only what stays on its component (and keep the components symmetric where the \
          mesh is)", list(worst), if *count > worst.len() { ", ..." } else { "" }
     )]
     Held {
         /// What holds them.
-        hold: Hold,
+        constraint: Constraint,
         /// How many vertices.
         count: usize,
         /// The tolerance, m.
@@ -299,12 +368,7 @@ pub enum DeformError {
         /// How many the set-up has.
         expected: usize,
     },
-    /// Derivatives by design variables were asked for where there is no design.
-    #[error(
-        "the control points were given directly, so that there are no design variables to differentiate by: ask for the          derivative by control points"
-    )]
-    NoDesign,
-    /// The caller lost interest.
+    /// The caller has cancelled.
     #[error("cancelled")]
     Cancelled,
 }

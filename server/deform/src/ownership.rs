@@ -1,7 +1,7 @@
 //! Which component each vertex and cell lies on, where, and what the vertex may do there. Found by projection alone.
 
 use moldline_geometry::{Body, Feature, Location};
-use moldline_mesh::{Cell, Topology, area_vector};
+use moldline_mesh::{Cell, SurfaceMesh, Topology, area_vector};
 use moldline_spline::Vector3;
 use rayon::prelude::*;
 
@@ -93,6 +93,11 @@ impl Ownership {
         &self.attachments[self.offsets[v] as usize..self.offsets[v + 1] as usize]
     }
 
+    /// The attachment that a vertex is placed by.
+    pub fn first(&self, vertex: u32) -> &Attachment {
+        &self.attachments[self.offsets[vertex as usize] as usize]
+    }
+
     /// The attachment of a vertex to a component, if it lies on it.
     pub fn on(&self, vertex: u32, component: u32) -> Option<&Attachment> {
         self.of(vertex).iter().find(|a| a.component == component)
@@ -113,11 +118,35 @@ impl Ownership {
         self.offsets.len() - 1
     }
 
-    /// Holds the attachments of a vertex where they are.
-    pub fn fix(&mut self, vertex: u32) {
-        let v = vertex as usize;
-        let range = self.offsets[v] as usize..self.offsets[v + 1] as usize;
-        self.attachments[range].iter_mut().for_each(|a| a.freedom = Freedom::Fixed);
+    /// The indices of all vertices.
+    pub fn vertices(&self) -> std::ops::Range<u32> {
+        // Meshes count their vertices in 32 bits.
+        0..self.vertex_count() as u32
+    }
+
+    /// Holds the attachments of the vertices of a mask where they are.
+    pub fn fix(&mut self, mask: &[bool]) {
+        for (range, _) in self.offsets.windows(2).zip(mask).filter(|(_, fixed)| **fixed) {
+            let attachments = &mut self.attachments[range[0] as usize..range[1] as usize];
+            attachments.iter_mut().for_each(|a| a.freedom = Freedom::Fixed);
+        }
+    }
+
+    /// As `found` before, if that fits the mesh and the bodies; otherwise by [`find`](Self::find).
+    ///
+    /// # Errors
+    /// As `find`.
+    pub fn new(
+        found: OwnershipParts,
+        mesh: &SurfaceMesh,
+        bodies: &[Body],
+        tolerance: f64,
+        monitor: &dyn Monitor<Stage>,
+    ) -> Result<Self, SetupError> {
+        match Self::restore(found, mesh.vertices.len(), mesh.cells.len(), bodies) {
+            Some(found) => Ok(found),
+            None => Self::find(&mesh.vertices, &mesh.cells, bodies, tolerance, monitor),
+        }
     }
 
     /// Projects all vertices on all components.
@@ -151,8 +180,8 @@ impl Ownership {
         let mut ownership = Self { offsets, attachments, cell_owner: Vec::new() };
         ownership.cell_owner = ownership.cell_owners(vertices, cells, bodies)?;
         ownership.drop_stray_attachments(cells);
-        for (index, body) in bodies.iter().enumerate() {
-            if !ownership.cell_owner.contains(&(index as u32)) {
+        for (component, (index, body)) in (0u32..).zip(bodies.iter().enumerate()) {
+            if !ownership.cell_owner.contains(&component) {
                 return Err(SetupError::UnusedComponent { index, name: body.component().name().to_owned() });
             }
         }
@@ -204,7 +233,7 @@ impl Ownership {
         let topology = Topology::of_cells(self.vertex_count(), cells);
         let mut offsets = vec![0];
         let mut kept = Vec::with_capacity(self.attachments.len());
-        for v in 0..self.vertex_count() as u32 {
+        for v in self.vertices() {
             let around = topology.vertex_cells.row(v as usize);
             let owns = |a: &&Attachment| around.iter().any(|&c| self.cell_owner[c as usize] == a.component);
             let before = kept.len();

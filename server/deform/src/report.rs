@@ -1,10 +1,19 @@
 //! What a set-up found, as plain data and as text.
 
-use std::fmt;
+use std::{fmt, sync::Arc};
 
-use moldline_mesh::QualityReport;
+use moldline_geometry::{Body, Component, Location};
+use moldline_mesh::{
+    MeshError, QualityReport, SurfaceMesh, Topology, area_vector, quality, topology::enclosed_volume,
+};
 
-use crate::{Options, seam_setup::SeamSummary};
+use crate::{
+    Options, SetupError,
+    chain::{field::RegionField, seams::setup::SeamSummary},
+    inspection::Inspection,
+    ownership::{Freedom, Ownership},
+    symmetry::{MeshSymmetry, Symmetry},
+};
 
 /// One component of a set-up.
 #[derive(Clone, Debug, PartialEq)]
@@ -49,17 +58,6 @@ pub struct FieldSummary {
     pub coordinates: &'static str,
     /// Memory of the factor, bytes.
     pub bytes: usize,
-}
-
-/// How the configuration mirrors itself at y = 0.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Symmetry {
-    /// It does not.
-    None,
-    /// Both halves are meshed, vertex by vertex mirror images.
-    Full,
-    /// One half is meshed; its border lies in the plane.
-    Half,
 }
 
 /// What a set-up found.
@@ -107,6 +105,112 @@ pub struct SetupReport {
     pub options: Options,
     /// Quality of the reference mesh.
     pub quality: QualityReport,
+}
+
+/// What a report is made from.
+pub(crate) struct Findings<'a> {
+    pub mesh: &'a SurfaceMesh,
+    pub topology: &'a Topology,
+    pub ownership: &'a Ownership,
+    pub reference: &'a [Body],
+    pub fields: &'a [RegionField],
+    pub inspection: &'a Inspection,
+    pub symmetry: &'a MeshSymmetry,
+    pub options: &'a Options,
+    pub length: f64,
+    /// How many.
+    pub open_edges: usize,
+    /// How many vertices.
+    pub in_plane: usize,
+    /// How many vertices.
+    pub stationary: usize,
+    pub components: Vec<ComponentSummary>,
+    pub seams: Vec<SeamSummary>,
+    pub seam_residual: f64,
+    pub rho: f64,
+}
+
+impl SetupReport {
+    /// The report of a set-up, with the quality of its reference mesh.
+    pub(crate) fn new(found: Findings<'_>) -> Result<Self, SetupError> {
+        let Findings { mesh, topology, ownership, reference, inspection, symmetry, .. } = found;
+        let locations: Vec<Location> = ownership.vertices().map(|v| ownership.first(v).location).collect();
+        let owners = &ownership.cell_owner;
+        let normals = inspection.normals(&mesh.cells, owners, &mesh.vertices, &locations, reference);
+        let cells = quality::evaluate(&mesh.vertices, &mesh.cells, &normals);
+        let quality = inspection.report(&cells, owners).ok_or(MeshError::Empty { what: "cells" })?;
+        let (against_normal, least_normal_agreement) =
+            mesh.cells.iter().zip(&normals).fold((0, 1.0_f64), |(against, least), (cell, normal)| {
+                let area = area_vector(&mesh.vertices, cell);
+                let cosine = area.dot(normal) / area.norm().max(f64::MIN_POSITIVE);
+                (against + usize::from(cosine < 0.0), least.min(cosine))
+            });
+        let count = |freedom: fn(&Freedom) -> bool| {
+            ownership.vertices().filter(|&v| ownership.of(v).iter().any(|a| freedom(&a.freedom))).count()
+        };
+        let triangles = mesh.cells.iter().filter(|c| c.is_triangle()).count();
+        let half_plane = symmetry.half().map(|(plane, _)| plane);
+        Ok(Self {
+            vertices: mesh.vertices.len(),
+            quadrilaterals: mesh.cells.len() - triangles,
+            triangles,
+            length: found.length,
+            surface_tolerance: symmetry.tolerance,
+            components: found.components,
+            seams: found.seams,
+            seam_residual: found.seam_residual,
+            watertight: found.open_edges == 0,
+            open_edges: found.open_edges,
+            euler: topology.euler(),
+            pieces: topology.pieces,
+            volume: enclosed_volume(&mesh.vertices, &mesh.cells, half_plane),
+            symmetry: symmetry.kind,
+            against_normal,
+            least_normal_agreement,
+            protected: ProtectedSummary {
+                on_edges: count(|f| matches!(f, Freedom::Edge(_))),
+                fixed: count(|f| matches!(f, Freedom::Fixed)),
+                in_plane: found.in_plane,
+                stationary: found.stationary,
+            },
+            fields: found.fields.iter().map(|field| field_summary(field, reference)).collect(),
+            rho: found.rho,
+            options: found.options.clone(),
+            quality,
+        })
+    }
+}
+
+fn field_summary(region: &RegionField, components: &[Body]) -> FieldSummary {
+    let training = region.field.training();
+    let name = |c: u32| components[c as usize].component().name().to_owned();
+    FieldSummary {
+        region: region.component.map_or_else(|| "all".to_owned(), name),
+        training_vertices: training.len(),
+        seam_vertices: training.iter().filter(|t| t.alpha() == 1.0).count(),
+        coordinates: if region.chart.is_some() { "surface parameters" } else { "space" },
+        bytes: region.field.bytes(),
+    }
+}
+
+/// What there is of each component: as the vertices were found, before groups are protected.
+pub(crate) fn components(ownership: &Ownership, components: &[Arc<Component>]) -> Vec<ComponentSummary> {
+    (0u32..)
+        .zip(components)
+        .map(|(index, component)| {
+            let on = ownership.vertices().filter_map(|v| ownership.on(v, index));
+            let distances: Vec<f64> = on.map(|a| a.distance).collect();
+            let squares: f64 = distances.iter().map(|d| d * d).sum();
+            ComponentSummary {
+                name: component.name().to_owned(),
+                patches: component.patches().len(),
+                vertices: distances.len(),
+                cells: ownership.cell_owner.iter().filter(|&&c| c == index).count(),
+                largest_distance: distances.iter().copied().fold(0.0, f64::max),
+                rms_distance: (squares / distances.len().max(1) as f64).sqrt(),
+            }
+        })
+        .collect()
 }
 
 impl fmt::Display for SetupReport {

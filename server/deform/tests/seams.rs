@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use moldline_deform::{
     DeformError, NoMonitor, SeamOptions,
-    seam::{SeamLine, SeamSearch, SeamSolver, SeamVertex},
+    chain::seams::{SeamLine, SeamSearch, SeamSolver, SeamVertex},
 };
 use moldline_geometry::{Body, Component, Primitive, Vector3};
 

@@ -1,11 +1,8 @@
-//! A design as it was asked for, its linearisation, and products with it.
-//!
-//! The outputs are functions of the control points, and these of the design; components whose control points were given
-//! do not depend on the design. Both parts are linearised at once, so that one linearisation serves both kinds of inputs.
+//! Requested designs, their linearisations, and products with them: what a request holds is checked and handed to the engine.
 
 use std::{collections::BTreeMap, sync::Arc};
 
-use moldline_deform::{Deformation, Linearisation, Monitor, Setup, Stage, Tangent};
+use moldline_deform::{Deformation, Direction, Inputs, Linearisation, Monitor, Setup, Stage, Tangent};
 use moldline_parameterisation::{ControlPoints, Override, Parameterisation};
 use moldline_store::Numbers;
 
@@ -86,15 +83,12 @@ pub struct Gradients {
 }
 
 /// A design that has been checked, before it takes a place in the queue.
-pub(crate) struct Resolved {
-    vector: Vec<f64>,
-    overrides: Vec<Override>,
-}
+pub(crate) struct Resolved(Inputs);
 
 impl Resolved {
     pub fn new(parameterisation: &Parameterisation, design: Design) -> Result<Self, ServiceError> {
-        let vector = match &design.values {
-            Values::Vector(vector) => vector.clone(),
+        let vector = match design.values {
+            Values::Vector(vector) => vector,
             Values::Named(values) => {
                 parameterisation.design(values.iter().map(|(name, &value)| (name.as_str(), value)))?
             }
@@ -103,31 +97,31 @@ impl Resolved {
         let overrides = design.control_points.into_iter().map(|(name, control_points)| {
             Ok(Override { component: component(&name, "control_points", parameterisation)?, control_points })
         });
-        Ok(Self { vector, overrides: overrides.collect::<Result<_, ServiceError>>()? })
+        Ok(Self(Inputs { design: vector, given: overrides.collect::<Result<_, ServiceError>>()? }))
     }
 
     /// The values alone.
     pub fn into_vector(self) -> Vec<f64> {
-        self.vector
+        self.0.design
     }
 
     /// As it is stored: the variables, and the coordinates of control points that were given.
     pub fn numbers(&self, parameterisation: &Parameterisation) -> (Numbers, Vec<(String, Numbers)>) {
-        let given = self.overrides.iter().map(|Override { component, control_points }| {
+        let given = self.0.given.iter().map(|Override { component, control_points }| {
             let name = parameterisation.components()[*component].clone();
             (name, Numbers(control_points.as_flattened().to_vec()))
         });
-        (Numbers(self.vector.clone()), given.collect())
+        (Numbers(self.0.design.clone()), given.collect())
     }
 
     /// A name for (set-up, design): the same for the same, on any server.
     pub fn id(&self, setup: &SetupId) -> String {
         let mut hasher = blake3::Hasher::new();
         hasher.update(setup.as_str().as_bytes());
-        for value in &self.vector {
+        for value in &self.0.design {
             hasher.update(&value.to_le_bytes());
         }
-        for Override { component, control_points } in &self.overrides {
+        for Override { component, control_points } in &self.0.given {
             hasher.update(&(*component as u64).to_le_bytes());
             for value in control_points.iter().flatten() {
                 hasher.update(&value.to_le_bytes());
@@ -144,10 +138,8 @@ impl Resolved {
         setup: &Arc<Setup>,
         monitor: &dyn Monitor<Stage>,
     ) -> Result<Linearised, ServiceError> {
-        let points = setup.parameterisation().control_points_with(&self.vector, &self.overrides)?;
-        let engine = setup.linearise_control_points(&points, monitor)?;
-        let given = self.overrides.iter().map(|given| given.component).collect();
-        Ok(Linearised { id, setup_id, design: self.vector, given, engine, timing: Timing::default() })
+        let engine = setup.linearise(self.0, monitor)?;
+        Ok(Linearised { id, setup_id, engine, timing: Timing::default() })
     }
 }
 
@@ -156,9 +148,6 @@ impl Resolved {
 pub struct Linearised {
     id: String,
     setup_id: SetupId,
-    design: Vec<f64>,
-    /// Components whose control points were given.
-    given: Vec<usize>,
     engine: Linearisation,
     /// Of the deformation.
     timing: Timing,
@@ -192,12 +181,12 @@ impl Linearised {
 
     /// How many design variables there are: columns of the Jacobian.
     pub fn columns(&self) -> usize {
-        self.design.len()
+        self.engine.design().len()
     }
 
     /// Bytes that it holds besides the set-up.
     pub fn bytes(&self) -> usize {
-        self.engine.bytes() + size_of_val(&self.design[..])
+        self.engine.bytes()
     }
 
     /// Bytes of one vector for all vertices and control points.
@@ -213,66 +202,34 @@ impl Linearised {
             direction[column] = 1.0;
             direction
         };
-        let count = columns.len();
-        let design = Some(columns.map(unit).collect());
-        self.jvp(&CheckedDirections { count, design, control_points: Vec::new() })
+        Ok(self.engine.jvp(&columns.map(unit).collect::<Vec<_>>())?)
     }
 
     /// Changes of the outputs.
     pub(crate) fn jvp(&self, directions: &CheckedDirections) -> Result<Vec<Tangent>, ServiceError> {
-        let setup = self.engine.setup();
-        let mut all: Vec<ControlPoints> = match &directions.design {
-            Some(design) => setup.parameterisation().linearise(&self.design)?.jvp(design)?,
-            None => {
-                let points = |count| vec![[0.0; 3]; count];
-                let zero: ControlPoints = control_point_counts(setup).map(points).collect();
-                vec![zero; directions.count]
-            }
-        };
-        self.forget_given(&mut all);
-        for (component, vectors) in &directions.control_points {
-            for (points, vector) in all.iter_mut().zip(vectors) {
-                let coordinates = points[*component].as_flattened_mut();
-                coordinates.iter_mut().zip(vector.as_flattened()).for_each(|(sum, x)| *sum += x);
-            }
-        }
-        Ok(self.engine.jvp_control_points(&all)?)
+        Ok(self.engine.jvp_inputs(&directions.0)?)
     }
 
-    /// Gradients by what is wanted.
+    /// Gradients with respect to what is wanted.
     pub(crate) fn vjp(&self, seeds: &[Tangent], wanted: &CheckedWanted) -> Result<Gradients, ServiceError> {
-        let parameterisation = self.engine.setup().parameterisation();
-        let mut all: Vec<ControlPoints> =
-            self.engine.vjp(seeds)?.into_iter().map(|gradient| gradient.control_points).collect();
+        let (design, all): (Option<Vec<_>>, Vec<ControlPoints>) = if wanted.design {
+            let gradients = self.engine.vjp(seeds)?.into_iter();
+            let (design, all) = gradients.map(|g| (g.design, g.control_points)).unzip();
+            (Some(design), all)
+        } else {
+            (None, self.engine.vjp_control_points(seeds)?)
+        };
+        let names = self.engine.setup().parameterisation().components();
         let of = |&component: &usize| ControlPointVectors {
-            component: parameterisation.components()[component].clone(),
+            component: names[component].clone(),
             vectors: all.iter().map(|gradient| gradient[component].clone()).collect(),
         };
-        let control_points = wanted.control_points.iter().map(of).collect();
-        let design = if wanted.design {
-            self.forget_given(&mut all);
-            Some(parameterisation.linearise(&self.design)?.vjp(&all)?)
-        } else {
-            None
-        };
-        Ok(Gradients { design, control_points })
-    }
-
-    /// Cuts the way from the design to components whose control points were given.
-    fn forget_given(&self, all: &mut [ControlPoints]) {
-        for points in all {
-            self.given.iter().for_each(|&component| points[component].fill([0.0; 3]));
-        }
+        Ok(Gradients { design, control_points: wanted.control_points.iter().map(of).collect() })
     }
 }
 
 /// Directions that fit the set-up.
-pub(crate) struct CheckedDirections {
-    count: usize,
-    design: Option<Vec<Vec<f64>>>,
-    /// By component.
-    control_points: Vec<(usize, Vec<Vec<[f64; 3]>>)>,
-}
+pub(crate) struct CheckedDirections(Vec<Direction>);
 
 impl Directions {
     /// # Errors
@@ -299,7 +256,16 @@ impl Directions {
         }
         let count =
             count.of_all("design", "there is no direction: send `design`, `control_points` or both")?;
-        Ok(CheckedDirections { count, design: self.design, control_points })
+        let mut directions = vec![Direction::default(); count];
+        for (direction, design) in directions.iter_mut().zip(self.design.into_iter().flatten()) {
+            direction.design = Some(design);
+        }
+        for (component, vectors) in control_points {
+            for (direction, vectors) in directions.iter_mut().zip(vectors) {
+                direction.control_points.push((component, vectors));
+            }
+        }
+        Ok(CheckedDirections(directions))
     }
 }
 

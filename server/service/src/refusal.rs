@@ -61,7 +61,10 @@ impl From<SetupError> for ServiceError {
                 format!("options.{field}")
             }
             SetupError::NotSymmetric(_) => "options.symmetric".to_owned(),
-            SetupError::Components(_) => "components".to_owned(),
+            SetupError::NoComponents
+            | SetupError::DuplicateComponent { .. }
+            | SetupError::Baseline(_)
+            | SetupError::ControlPoints(_) => "components".to_owned(),
             SetupError::Component { index, .. } | SetupError::UnusedComponent { index, .. } => {
                 format!("components[{index}]")
             }
@@ -138,7 +141,6 @@ impl From<DeformError> for ServiceError {
             | DeformError::NotProjected { .. }
             | DeformError::Held { .. }
             | DeformError::FootPoint { .. } => Self::new(Code::FailedPrecondition, "").at("design", text),
-            DeformError::NoDesign => Self::invalid("design", text),
             DeformError::SeedSize { index, what, .. } => Self::invalid(format!("{what}[{index}]"), text),
         }
     }

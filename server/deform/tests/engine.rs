@@ -3,11 +3,10 @@
 // Helpers of tests fail by panicking, like the tests themselves.
 #![allow(clippy::unwrap_used)]
 
-use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 use moldline_deform::{
-    DeformError, Deformation, Hold, Kernel, NoMonitor, OuterMoldLine, Propagation, Setup, SetupError,
+    Constraint, DeformError, Deformation, Kernel, NoMonitor, OuterMoldLine, Propagation, Setup, SetupError,
     ownership::Freedom,
 };
 use moldline_geometry::{Body, Vector3};
@@ -307,9 +306,12 @@ fn stationary_vertices_that_their_component_leaves_are_named() {
         assert!((after - before).norm() < 1e-11);
     }
     let error = deform(&setup, &[("wing.rotation", 1.0)]).unwrap_err();
-    let DeformError::Held { hold, count, worst, .. } = &error else { panic!("{error}") };
+    let DeformError::Held { constraint, count, worst, .. } = &error else { panic!("{error}") };
     // The flat caps slide in their own plane: what lies inside them is still on the wing.
-    assert!(*hold == Hold::Stationary && *count > tips.len() / 2 && *count < tips.len(), "{error}");
+    assert!(
+        *constraint == Constraint::Stationary && *count > tips.len() / 2 && *count < tips.len(),
+        "{error}"
+    );
     assert!(tips.contains(&worst[0].vertex) && worst[0].distance > 1e-3, "{error}");
 }
 
@@ -322,46 +324,4 @@ fn a_protected_vertex_on_a_seam_is_named() {
     let error = build(content).unwrap_err();
     let SetupError::HeldSeam { vertex, .. } = &error else { panic!("{error}") };
     assert_eq!(*vertex, seam);
-}
-
-#[test]
-fn a_set_up_folder_may_hold_its_mesh_as_stl() {
-    let original = content("tests/configurations/boom");
-    let mesh = &original.input.mesh;
-    // ASCII, 17 digits: what a triangulation program writes, corners apart.
-    let mut stl = String::from("solid boom\n");
-    for cell in &mesh.cells {
-        stl += "facet normal 0 0 0\nouter loop\n";
-        for &v in cell.vertices() {
-            let [x, y, z] = mesh.vertices[v as usize];
-            writeln!(stl, "vertex {x:e} {y:e} {z:e}").unwrap();
-        }
-        stl += "endloop\nendfacet\n";
-    }
-    stl += "endsolid boom\n";
-    let source = repository().join("tests/configurations/boom");
-    let folder = tempfile::tempdir().unwrap();
-    std::fs::create_dir(folder.path().join("geometry")).unwrap();
-    for name in ["wing", "boom", "fairing"] {
-        let file = format!("geometry/{name}.json");
-        std::fs::copy(source.join(&file), folder.path().join(&file)).unwrap();
-    }
-    std::fs::write(folder.path().join("mesh.stl"), stl).unwrap();
-    let text = std::fs::read_to_string(source.join("setup.toml")).unwrap();
-    assert!(text.contains("mesh.vtu"), "the folder itself holds a VTU file of triangles");
-    std::fs::write(folder.path().join("setup.toml"), text.replace("mesh.vtu", "mesh.stl")).unwrap();
-
-    let (files, setup_file) = read_folder(folder.path(), &Limits::default()).unwrap();
-    let read = read_setup(&files, Some(&setup_file), &Limits::default()).unwrap();
-    let (from_stl, from_vtu) = (build(read).unwrap(), build(original).unwrap());
-    let counts = |s: &Setup| (s.mesh().vertices.len(), s.report().triangles, s.report().euler);
-    assert_eq!(counts(&from_stl), counts(&from_vtu));
-    // The same mesh with its vertices in another order, so the same quality.
-    let values = [("boom.translation", -0.2)];
-    let [a, b] = [&from_stl, &from_vtu].map(|setup| deform(setup, &values).unwrap());
-    assert_eq!(a.quality.total.folded, 0);
-    let worst = largest_distance(&from_stl, &a, &bodies(&from_stl, &values));
-    assert!(worst <= 1e-12, "{worst:e} of the length");
-    let [p, q] = [a, b].map(|result| result.quality.total.aspect_ratio.p95);
-    assert!((p - q).abs() < 0.05, "{p} {q}");
 }

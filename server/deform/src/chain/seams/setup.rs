@@ -6,10 +6,10 @@ use moldline_geometry::{Body, Location};
 use moldline_mesh::{Topology, graph};
 use rayon::prelude::*;
 
+use super::{Junction, SeamLine, SeamSearch, SeamSolver, SeamVertex, line::along};
 use crate::{
     Monitor, SeamOptions, SetupError, Stage,
     ownership::{Attachment, Freedom, Ownership},
-    seam::{Junction, SeamLine, SeamSearch, SeamSolver, SeamVertex, along},
 };
 
 /// Samples of a line over the length of a patch, when brackets are looked for.
@@ -100,8 +100,7 @@ pub fn seam_solver(
     found: &[FoundLine],
     monitor: &dyn Monitor<Stage>,
 ) -> Result<(SeamSolver, Vec<SeamSummary>), SetupError> {
-    let seam_vertices: Vec<u32> =
-        (0..ownership.vertex_count() as u32).filter(|&v| ownership.is_seam(v)).collect();
+    let seam_vertices: Vec<u32> = ownership.vertices().filter(|&v| ownership.is_seam(v)).collect();
     let junctions: Vec<u32> = seam_vertices.iter().copied().filter(|&v| ownership.of(v).len() > 2).collect();
     let index_of: HashMap<u32, u32> = (0u32..).zip(&seam_vertices).map(|(i, &v)| (v, i)).collect();
 

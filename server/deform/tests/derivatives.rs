@@ -7,8 +7,10 @@
 use std::{path::Path, sync::Arc};
 
 use moldline_deform::{
-    DeformError, Kernel, Linearisation, NoMonitor, Options, OuterMoldLine, Propagation, Setup, Tangent,
+    DeformError, Direction, Inputs, Kernel, Linearisation, NoMonitor, Options, OuterMoldLine, Propagation,
+    Setup, Tangent,
 };
+use moldline_parameterisation::Override;
 use moldline_setup::{Limits, read_folder, read_setup};
 
 fn setup(folder: &str, change: impl Fn(&mut Options)) -> Arc<Setup> {
@@ -62,7 +64,7 @@ fn dot_all(a: &Tangent, b: &Tangent) -> f64 {
 /// Relative error of `J v` against the best of a few fourth-order central differences.
 fn against_differences(linearisation: &Linearisation, direction: &[f64], range: f64) -> f64 {
     let setup = linearisation.setup();
-    let design = linearisation.design().unwrap();
+    let design = linearisation.design();
     let tangent = linearisation.jvp(&[direction]).unwrap().remove(0);
     let at = |t: f64| {
         let design: Vec<f64> = design.iter().zip(direction).map(|(x, d)| x + t * d).collect();
@@ -95,7 +97,7 @@ fn against_differences(linearisation: &Linearisation, direction: &[f64], range: 
 
 /// Largest relative gap between `w . J v` and `J^T w . v`, in blocks of `k`.
 fn dot_product_gap(linearisation: &Linearisation, k: usize, random: &mut Random) -> f64 {
-    let variables = linearisation.design().unwrap().len();
+    let variables = linearisation.design().len();
     let setup = linearisation.setup();
     let directions: Vec<Vec<f64>> =
         (0..k).map(|_| (0..variables).map(|_| random.between(-1.0, 1.0)).collect()).collect();
@@ -242,25 +244,29 @@ fn control_points_are_inputs_too() {
     let design = design(&setup, 0.3, &mut random);
     let control_points = setup.parameterisation().control_points(&design).unwrap();
     let by_design = setup.linearise(&design, &NoMonitor).unwrap();
-    let by_points = setup.linearise_control_points(&control_points, &NoMonitor).unwrap();
-    assert!(matches!(by_points.jvp(std::slice::from_ref(&design)), Err(DeformError::NoDesign)));
+    let given = control_points.into_iter().enumerate();
+    let given = given.map(|(component, control_points)| Override { component, control_points }).collect();
+    let by_points = setup.linearise(Inputs { design: design.clone(), given }, &NoMonitor).unwrap();
+    assert_eq!(by_points.deformation().vertices, by_design.deformation().vertices);
 
     // A direction in design space is one of control points.
     let direction: Vec<f64> = design.iter().map(|_| random.between(-1.0, 1.0)).collect();
     let parameterisation = setup.parameterisation().linearise(&design).unwrap();
     let of_points = parameterisation.jvp(&[&direction]).unwrap();
     let a = by_design.jvp(&[&direction]).unwrap();
-    let b = by_points.jvp_control_points(&of_points).unwrap();
+    let b = by_points.jvp_inputs(&[of_points[0].clone().into()]).unwrap();
     assert_eq!(a, b);
-    let stages = by_points.stages(&of_points[0]).unwrap();
+    let stages = by_design.stages(&direction[..].into()).unwrap();
+    assert_eq!(stages.control_points, of_points[0]);
     for (x, y) in stages.vertices.iter().zip(&a[0].vertices) {
         assert!((0..3).all(|k| (x[k] - y[k]).abs() <= 1e-12));
     }
+    assert!(by_points.jvp(&[&direction]).unwrap()[0].vertices.iter().flatten().all(|x| *x == 0.0));
 
-    // The gradient by control points, contracted, is the gradient by design.
+    // The gradient with respect to control points, contracted, is that with respect to the design.
     let seed = random.seed(&setup);
     let gradient = by_points.vjp(std::slice::from_ref(&seed)).unwrap().remove(0);
-    assert!(gradient.design.is_empty());
+    assert!(gradient.design.iter().all(|x| *x == 0.0));
     let contracted: f64 = gradient.control_points.iter().zip(&of_points[0]).map(|(g, t)| dot(g, t)).sum();
     let forward = dot_all(&seed, &a[0]);
     assert!((contracted - forward).abs() <= 1e-11 * forward.abs().max(1.0));
@@ -285,4 +291,55 @@ fn products_do_not_depend_on_threads() {
         })
     };
     assert_eq!(run(1), run(2));
+}
+
+#[test]
+fn given_control_points_cut_the_way_from_the_design() {
+    let setup = setup("tests/configurations/boom", |o| o.outer_mold_line = OuterMoldLine::Smooth);
+    let mut random = Random(11);
+    let design = design(&setup, 0.3, &mut random);
+    let control_points = setup.parameterisation().control_points(&design).unwrap();
+    let boom = setup.components().iter().position(|c| c.name() == "boom").unwrap();
+    let given = Override { component: boom, control_points: control_points[boom].clone() };
+    let inputs = Inputs { design: design.clone(), given: vec![given] };
+    let at = setup.linearise(inputs, &NoMonitor).unwrap();
+
+    // Part of the way through the design, part through the control points of the component that is given and of another one.
+    let mut vectors = |component: usize| -> (usize, Vec<[f64; 3]>) {
+        let vector = |_: &[f64; 3]| std::array::from_fn(|_| random.between(-0.1, 0.1));
+        (component, control_points[component].iter().map(vector).collect())
+    };
+    let other = (boom + 1) % setup.components().len();
+    let direction = Direction {
+        design: Some(design.iter().enumerate().map(|(i, _)| 0.1 + 0.01 * i as f64).collect()),
+        control_points: vec![vectors(boom), vectors(other)],
+    };
+    let tangent = at.jvp_inputs(std::slice::from_ref(&direction)).unwrap().remove(0);
+
+    let mut expected = setup
+        .parameterisation()
+        .linearise(&design)
+        .unwrap()
+        .jvp(&[direction.design.as_ref().unwrap()])
+        .unwrap();
+    expected[0][boom].fill([0.0; 3]);
+    for (component, vectors) in &direction.control_points {
+        let sums = expected[0][*component].iter_mut().zip(vectors);
+        sums.for_each(|(sum, x)| (0..3).for_each(|axis| sum[axis] += x[axis]));
+    }
+    let by_design = setup.linearise(&design, &NoMonitor).unwrap();
+    assert_eq!(by_design.jvp_inputs(&[expected.remove(0).into()]).unwrap()[0], tangent);
+
+    let seed = random.seed(&setup);
+    let gradient = at.vjp(std::slice::from_ref(&seed)).unwrap().remove(0);
+    assert_eq!(at.vjp_control_points(std::slice::from_ref(&seed)).unwrap()[0], gradient.control_points);
+    let of_design = gradient.design.iter().zip(direction.design.as_ref().unwrap()).map(|(g, d)| g * d);
+    let of_points = direction.control_points.iter().map(|(c, v)| dot(&gradient.control_points[*c], v));
+    let backward = of_design.sum::<f64>() + of_points.sum::<f64>();
+    let forward = dot_all(&seed, &tangent);
+    let scale = (dot_all(&seed, &seed) * dot_all(&tangent, &tangent)).sqrt();
+    assert!((forward - backward).abs() <= 1e-12 * scale, "{forward} {backward}");
+
+    let short = Direction { control_points: vec![(boom, vec![[0.0; 3]])], ..Direction::default() };
+    assert!(matches!(at.jvp_inputs(&[short]), Err(DeformError::ControlPoints(_))));
 }

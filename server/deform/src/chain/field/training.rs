@@ -53,13 +53,12 @@ pub fn blending_weight(distance_over_radius: f64) -> f64 {
 
 impl Region<'_> {
     fn members(&self) -> impl Iterator<Item = u32> + '_ {
-        (0..self.vertices.len() as u32).filter(|&v| (self.contains)(v))
+        (0u32..).zip(self.vertices).map(|(v, _)| v).filter(|&v| (self.contains)(v))
     }
 
     /// Seam points inside the region: `(index among the seam points, vertex)`.
     fn seams(&self) -> Vec<(u32, u32)> {
-        let all = self.seam_vertices.iter().enumerate();
-        all.filter(|&(_, &v)| (self.contains)(v)).map(|(i, &v)| (i as u32, v)).collect()
+        (0u32..).zip(self.seam_vertices.iter().copied()).filter(|&(_, v)| (self.contains)(v)).collect()
     }
 
     /// Distance `d_G` to the nearest seam along the region's edges, and the blending radius, m.

@@ -1,0 +1,429 @@
+//! Displacement fields (sec. III.E of the paper, eq. 16 and 17): training data from the seams, radial basis functions
+//! through them, values at all vertices of a region. Everything is linear, so that a field is its own derivative.
+
+pub mod training;
+
+use std::sync::Arc;
+
+use moldline_geometry::{
+    Block, Body, Location,
+    block::{add_row, add_vector},
+};
+use moldline_mesh::{Plane, SurfaceMesh, Topology};
+use moldline_spline::Vector3;
+
+use super::seams::SeamSolver;
+use crate::{
+    Monitor, Options, Propagation, SetupError, Stage,
+    chart::Chart,
+    ownership::{Freedom, Ownership},
+    rbf::{Factors, Kernel, RadialBasis, RbfError},
+};
+use training::{Region, TrainingVertex};
+
+/// The mirror that completes a half model.
+#[derive(Clone, Debug)]
+pub struct Mirror<'a> {
+    /// The symmetry plane.
+    pub plane: &'a Plane,
+    /// Distance within which a vertex lies in it, m.
+    pub tolerance: f64,
+    /// What it does to a datum, component by component.
+    pub signs: Vec<f64>,
+}
+
+/// A field over one region of the mesh.
+#[derive(Clone, Debug)]
+pub struct Field {
+    training: Vec<TrainingVertex>,
+    /// Training vertices whose mirror images are centres too: those of a half model that are off its plane.
+    images: Vec<u32>,
+    /// What the mirror does to a datum, component by component.
+    mirror_signs: Vec<f64>,
+    basis: RadialBasis,
+}
+
+impl Field {
+    /// Factorises the system of a training set. `reference` are the positions of all vertices of the mesh, m. With a
+    /// `mirror` the field is that of the whole configuration, of which the mesh is one half.
+    ///
+    /// Where `found` has the factors of this system, they are taken.
+    ///
+    /// # Errors
+    /// [`RbfError`] if the training vertices coincide or lie in one plane.
+    pub fn new(
+        training: Vec<TrainingVertex>,
+        reference: &[Vector3],
+        kernel: Kernel,
+        regularisation: f64,
+        mirror: Option<Mirror<'_>>,
+        found: Option<&Factors>,
+    ) -> Result<Self, RbfError> {
+        let at = |t: &TrainingVertex| reference[t.vertex as usize];
+        let mut centres: Vec<Vector3> = training.iter().map(at).collect();
+        let mut images = Vec::new();
+        if let Some(Mirror { plane, tolerance, .. }) = &mirror {
+            for (i, t) in (0u32..).zip(&training) {
+                let x: [f64; 3] = at(t).into();
+                if plane.signed_distance(&x).abs() > *tolerance {
+                    images.push(i);
+                    centres.push(Vector3::from(plane.mirror(&x)));
+                }
+            }
+        }
+        let mirror_signs = mirror.map_or_else(Vec::new, |m| m.signs);
+        let restored = match found {
+            Some(factors) => RadialBasis::restore(kernel, &centres, factors)?,
+            None => None,
+        };
+        let basis = match restored {
+            Some(basis) => basis,
+            None => RadialBasis::new(kernel, &centres, regularisation)?,
+        };
+        Ok(Self { basis, training, images, mirror_signs })
+    }
+
+    /// What took time to find.
+    pub fn factors(&self) -> Factors {
+        self.basis.factors()
+    }
+
+    /// The training vertices.
+    pub fn training(&self) -> &[TrainingVertex] {
+        &self.training
+    }
+
+    /// Training vertices, by place among them, whose mirror images are centres too, after all the others.
+    pub fn images(&self) -> &[u32] {
+        &self.images
+    }
+
+    /// What the mirror does to a datum, component by component.
+    pub fn mirror_signs(&self) -> &[f64] {
+        &self.mirror_signs
+    }
+
+    /// c^2 of the linear kernel, in units of the extent of the centres.
+    pub fn rounding(&self) -> f64 {
+        self.basis.rounding()
+    }
+
+    /// Bytes held by the factorisation.
+    pub fn bytes(&self) -> usize {
+        self.basis.bytes()
+    }
+
+    /// Field values at `points`, a row each. `seam_motion`: what each seam vertex does, a row each. The datum of training
+    /// vertex `i` is (eq. 15) `(1 - alpha_i) component_motion(i) + sum_k weight_ik seam_motion[k]`; `component_motion` adds a
+    /// multiple of the motion of a training vertex with its component to a row.
+    pub fn eval(
+        &self,
+        seam_motion: &Block,
+        component_motion: impl Fn(usize, f64, &mut [f64]),
+        points: &[Vector3],
+    ) -> Block {
+        let mut data = Block::zeros(self.training.len() + self.images.len(), seam_motion.width());
+        for (i, t) in self.training.iter().enumerate() {
+            let row = data.row_mut(i);
+            for &(k, weight) in &t.seams {
+                add_row(row, weight, seam_motion.row(k as usize));
+            }
+            if t.alpha() != 1.0 {
+                component_motion(i, 1.0 - t.alpha(), row);
+            }
+        }
+        for (image, &i) in (self.training.len()..).zip(&self.images) {
+            let mirrored = self.mirrored(data.row(i as usize));
+            data.row_mut(image).copy_from_slice(&mirrored);
+        }
+        self.basis.evaluate(&self.basis.fit(&data), points)
+    }
+
+    /// The transpose of [`eval`](Self::eval): adds the seeds of the seam motions to `seam_motion`, and hands those of the
+    /// component motions, with the factor that belongs to them, to `component_motion`.
+    pub fn vjp(
+        &self,
+        points: &[Vector3],
+        seeds: &Block,
+        seam_motion: &mut Block,
+        mut component_motion: impl FnMut(usize, f64, &[f64]),
+    ) {
+        let mut data = self.basis.fit_vjp(&self.basis.evaluate_vjp(points, seeds));
+        for (image, &i) in (self.training.len()..).zip(&self.images) {
+            let mirrored = self.mirrored(data.row(image));
+            add_row(data.row_mut(i as usize), 1.0, &mirrored);
+        }
+        for (i, t) in self.training.iter().enumerate() {
+            for &(k, weight) in &t.seams {
+                add_row(seam_motion.row_mut(k as usize), weight, data.row(i));
+            }
+            if t.alpha() != 1.0 {
+                component_motion(i, 1.0 - t.alpha(), data.row(i));
+            }
+        }
+    }
+
+    fn mirrored(&self, row: &[f64]) -> Vec<f64> {
+        row.iter().zip(self.mirror_signs.iter().cycle()).map(|(x, sign)| sign * x).collect()
+    }
+}
+
+/// A field and the vertices that it moves.
+#[derive(Clone, Debug)]
+pub struct RegionField {
+    /// The component moved; `None`: all of them.
+    pub component: Option<u32>,
+    /// Surface coordinates in which departures are measured; `None`: they are vectors in space.
+    pub chart: Option<Arc<Chart>>,
+    /// The factorised system.
+    pub field: Field,
+    /// Vertices moved: all of the region that are neither on a seam nor fixed.
+    pub vertices: Vec<u32>,
+    /// Their reference positions, m.
+    pub points: Vec<Vector3>,
+    /// Where the training vertices are on their components. `None` for a field of departures: away from the seams nothing
+    /// departs.
+    anchors: Option<Vec<Anchor>>,
+}
+
+/// A training vertex that moves with its component.
+#[derive(Clone, Debug)]
+struct Anchor {
+    component: usize,
+    location: Location,
+    /// Its reference position, m.
+    start: Vector3,
+}
+
+impl RegionField {
+    /// Numbers of a value.
+    pub fn columns(&self) -> usize {
+        if self.chart.is_some() { 2 } else { 3 }
+    }
+
+    fn eval(&self, motion: &Block, bodies: &[Body]) -> Block {
+        let follow = |i: usize, factor: f64, row: &mut [f64]| {
+            let Some(anchors) = &self.anchors else { return };
+            let Anchor { component, location, start } = &anchors[i];
+            add_vector(row, 0, &((bodies[*component].position(location) - start) * factor));
+        };
+        self.field.eval(motion, follow, &self.points)
+    }
+
+    fn jvp(&self, bodies: &[Body], motion: &Block, control_points: &[Block]) -> Block {
+        let follow = |i: usize, factor: f64, row: &mut [f64]| {
+            let Some(anchors) = &self.anchors else { return };
+            let Anchor { component, location, .. } = &anchors[i];
+            let mut s = vec![0.0; row.len()];
+            bodies[*component].basis(location).position_jvp(&control_points[*component], &mut s);
+            add_row(row, factor, &s);
+        };
+        self.field.eval(motion, follow, &self.points)
+    }
+
+    fn vjp(&self, bodies: &[Body], seeds: &Block, motion: &mut Block, control_points: &mut [Block]) {
+        let follow = |i: usize, factor: f64, seed: &[f64]| {
+            let Some(anchors) = &self.anchors else { return };
+            let Anchor { component, location, .. } = &anchors[i];
+            let scaled: Vec<f64> = seed.iter().map(|s| factor * s).collect();
+            bodies[*component].basis(location).position_vjp(&scaled, &mut control_points[*component]);
+        };
+        self.field.vjp(&self.points, seeds, motion, follow);
+    }
+}
+
+/// The fields of a set-up, over disjoint sets of vertices.
+#[derive(Clone, Debug)]
+pub(crate) struct Fields {
+    regions: Vec<RegionField>,
+    /// Field and row there of every vertex that a field moves.
+    rows: Vec<Option<(u32, u32)>>,
+    /// Seam vertices in all.
+    seams: usize,
+}
+
+impl Fields {
+    fn new(regions: Vec<RegionField>, vertices: usize, seams: usize) -> Self {
+        let mut rows = vec![None; vertices];
+        for (field, region) in (0u32..).zip(&regions) {
+            for (row, &v) in (0u32..).zip(&region.vertices) {
+                rows[v as usize] = Some((field, row));
+            }
+        }
+        Self { regions, rows, seams }
+    }
+
+    /// The fields with their regions.
+    pub fn regions(&self) -> &[RegionField] {
+        &self.regions
+    }
+
+    /// The field that moves a vertex.
+    pub fn of(&self, vertex: u32) -> Option<&RegionField> {
+        self.rows[vertex as usize].map(|(field, _)| &self.regions[field as usize])
+    }
+
+    /// Values at all vertices moved, a block a field, from the motions of the seam vertices.
+    pub fn eval(&self, motions: &[Block], bodies: &[Body]) -> Vec<Block> {
+        self.regions.iter().zip(motions).map(|(region, motion)| region.eval(motion, bodies)).collect()
+    }
+
+    /// Tangents of the values for those of the motions and of the internal control points.
+    pub fn jvp(&self, bodies: &[Body], motions: &[Block], control_points: &[Block]) -> Vec<Block> {
+        let regions = self.regions.iter().zip(motions);
+        regions.map(|(region, motion)| region.jvp(bodies, motion, control_points)).collect()
+    }
+
+    /// The transpose of [`jvp`](Self::jvp): seeds of the motions; adds to those of the internal control points.
+    pub fn vjp(&self, bodies: &[Body], seeds: &[Block], control_points: &mut [Block]) -> Vec<Block> {
+        let of_region = |(region, seeds): (&RegionField, &Block)| {
+            let mut motions = Block::zeros(self.seams, seeds.width());
+            region.vjp(bodies, seeds, &mut motions, control_points);
+            motions
+        };
+        self.regions.iter().zip(seeds).map(of_region).collect()
+    }
+
+    /// No values in `k` directions.
+    pub fn zeros(&self, k: usize) -> Vec<Block> {
+        self.regions.iter().map(|region| Block::zeros(region.vertices.len(), region.columns() * k)).collect()
+    }
+
+    /// The row of a vertex among the values; empty if no field moves it.
+    pub fn value<'v>(&self, values: &'v [Block], vertex: u32) -> &'v [f64] {
+        match self.rows[vertex as usize] {
+            Some((field, row)) => values[field as usize].row(row as usize),
+            None => &[],
+        }
+    }
+
+    /// [`value`](Self::value), to be changed.
+    pub fn value_mut<'v>(&self, values: &'v mut [Block], vertex: u32) -> &'v mut [f64] {
+        match self.rows[vertex as usize] {
+            Some((field, row)) => values[field as usize].row_mut(row as usize),
+            None => &mut [],
+        }
+    }
+}
+
+/// What the fields of a set-up are built from.
+pub(crate) struct FieldBuilder<'a> {
+    pub options: &'a Options,
+    pub mesh: &'a SurfaceMesh,
+    pub topology: &'a Topology,
+    pub ownership: &'a Ownership,
+    pub seams: &'a SeamSolver,
+    pub reference: &'a [Body],
+    pub positions: &'a [Vector3],
+    pub mirror: Option<&'a [u32]>,
+    pub half: Option<(&'a Plane, f64)>,
+    pub names: &'a [String],
+    /// Factors known already, in the order of the fields.
+    pub found: &'a [Factors],
+}
+
+impl FieldBuilder<'_> {
+    /// Chooses the training vertices and factorises, region by region.
+    pub fn build(&self, monitor: &dyn Monitor<Stage>) -> Result<Fields, SetupError> {
+        let regions: Vec<Option<u32>> = match self.options.propagation {
+            Propagation::Absolute => vec![None],
+            Propagation::Departure | Propagation::Surface => {
+                (0u32..).zip(self.names).map(|(c, _)| Some(c)).collect()
+            }
+        };
+        let seam_vertices: Vec<u32> = self.seams.vertices.iter().map(|s| s.vertex).collect();
+        let fixed = |v: &u32| self.ownership.of(*v).iter().any(|a| a.freedom == Freedom::Fixed);
+        let held: Vec<u32> = self.ownership.vertices().filter(fixed).collect();
+        let mut fields = Vec::new();
+        for (done, &component) in regions.iter().enumerate() {
+            if monitor.cancelled() {
+                return Err(SetupError::Cancelled);
+            }
+            let contains = |v: u32| component.is_none_or(|c| self.ownership.on(v, c).is_some());
+            let members = self.ownership.vertices().filter(|&v| contains(v));
+            let share = members.clone().count() as f64 / self.positions.len() as f64;
+            let region = Region {
+                topology: self.topology,
+                vertices: &self.mesh.vertices,
+                contains: &contains,
+                mirror: self.mirror,
+                seam_vertices: &seam_vertices,
+                held: &held,
+                blend_radius: self.blend_radius(component),
+            };
+            let count = (share * self.options.training_vertices as f64).ceil() as usize;
+            let training = match component {
+                None => region.absolute_set(count),
+                Some(_) => region.departure_set(count),
+            };
+            if training.is_empty() {
+                continue;
+            }
+            let chart = component
+                .filter(|_| self.options.propagation == Propagation::Surface)
+                .and_then(|c| self.chart(c))
+                .map(Arc::new);
+            let mirror = self.mirror_of(component, chart.as_deref());
+            let kernel = self.options.kernel();
+            let regularisation = self.options.regularisation;
+            let found = self.found.get(fields.len());
+            let anchor = |t: &TrainingVertex| {
+                let own = self.ownership.first(t.vertex);
+                let start = self.positions[t.vertex as usize];
+                Anchor { component: own.component as usize, location: own.location, start }
+            };
+            let anchors = component.is_none().then(|| training.iter().map(anchor).collect());
+            let field = Field::new(training, self.positions, kernel, regularisation, mirror, found).map_err(
+                |reason| SetupError::Factorisation {
+                    field: component.map_or("the whole mesh".into(), |c| self.names[c as usize].clone()),
+                    reason,
+                },
+            )?;
+            let moved =
+                members.filter(|&v| matches!(self.ownership.of(v), [only] if only.freedom != Freedom::Fixed));
+            let vertices: Vec<u32> = moved.collect();
+            let points = vertices.iter().map(|&v| self.positions[v as usize]).collect();
+            fields.push(RegionField { component, chart, field, vertices, points, anchors });
+            monitor.progress(Stage::Factorisation, (done + 1) as f64 / regions.len() as f64);
+        }
+        monitor.progress(Stage::Factorisation, 1.0);
+        Ok(Fields::new(fields, self.positions.len(), seam_vertices.len()))
+    }
+
+    /// Surface coordinates over at least the patches that carry seams.
+    fn chart(&self, component: u32) -> Option<Chart> {
+        let body = &self.reference[component as usize];
+        let mut required = vec![false; body.component().patches().len()];
+        for own in self.seams.vertices.iter().filter_map(|s| self.ownership.on(s.vertex, component)) {
+            required[own.location.patch as usize] = true;
+        }
+        Chart::new(body, &required)
+    }
+
+    /// The mirror of a half model, for regions that reach its plane.
+    fn mirror_of(&self, component: Option<u32>, chart: Option<&Chart>) -> Option<Mirror<'_>> {
+        let (plane, tolerance) = self.half?;
+        let on = |v: u32| component.is_none_or(|c| self.ownership.on(v, c).is_some());
+        let in_plane = |v: u32| plane.signed_distance(&self.mesh.vertices[v as usize]).abs() <= tolerance;
+        if !self.ownership.vertices().any(|v| on(v) && in_plane(v)) {
+            return None;
+        }
+        let signs = match (chart, component) {
+            (Some(chart), Some(c)) => {
+                let seam = self.seams.vertices.iter().find_map(|s| self.ownership.on(s.vertex, c));
+                let location = seam.map(|a| a.location)?;
+                chart.mirror_signs(&self.reference[c as usize], &location, plane)?.to_vec()
+            }
+            _ => vec![1.0, -1.0, 1.0],
+        };
+        Some(Mirror { plane, tolerance, signs })
+    }
+
+    fn blend_radius(&self, component: Option<u32>) -> f64 {
+        let of_name = component.and_then(|c| {
+            let name = &self.names[c as usize];
+            self.options.blend_radius_of.iter().find(|(n, _)| n == name)
+        });
+        of_name.map_or(self.options.blend_radius, |(_, radius)| *radius)
+    }
+}
