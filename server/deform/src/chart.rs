@@ -1,15 +1,17 @@
-//! Common surface coordinates over the patches of a component, for departures along its surface.
+//! Charts: common surface coordinates over the patches of a component.
 //!
-//! A departure is measured in the parameters of the component's patches. Where patches join, their parameters may be swapped,
-//! reversed or scaled against each other; a chart carries each patch's parameters over to those of the first one.
-//! Lines of constant parameter then stay what they are: a wing's vertices slide along the span at a constant fraction
-//! of the chord.
+//! Coordinates are the parameters of the component's patches. Where patches join, their parameters may be swapped, reversed or
+//! scaled against each other; a chart carries each patch's parameters over to those of the first one. Lines of constant
+//! parameter then stay what they are: a wing's vertices slide along the span at a constant fraction of the chord.
+//!
+//! A *departure* is a displacement in these coordinates. [`Chart::walk`] moves a location by a departure, across the edges of
+//! patches (the exponential map of the chart); [`Chart::unroll`] is its inverse, the departure between two locations.
 
 use moldline_geometry::{Body, EdgeSide, Location, ParameterDirection};
 use moldline_mesh::Plane;
 use moldline_spline::Vector3;
 
-/// Steps of the search for the departure between two locations.
+/// Steps at most of the search for the departure between two locations.
 const UNROLL_STEPS: usize = 60;
 /// Relative difference up to which scales along an edge agree.
 const SAME_SCALE: f64 = 1e-6;
@@ -26,8 +28,8 @@ struct PatchMap {
 /// Surface coordinates of one component.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Chart {
-    /// Patches whose parameters cannot be brought to agree with the others' (a wing's tip caps) have no map: nothing
-    /// departs there.
+    /// Patches whose parameters cannot be brought to agree with the others' (a wing's tip caps) have no map; departures end at
+    /// them.
     maps: Vec<Option<PatchMap>>,
     /// Lengths of the parameter ranges of patches that are closed in themselves, per patch and parameter.
     periods: Vec<[Option<f64>; 2]>,
@@ -101,7 +103,7 @@ impl Chart {
     }
 
     /// The parameter of a patch (0: u, 1: v) that each of the chart's coordinates moves, and how far for one unit of it;
-    /// `None` where nothing departs.
+    /// `None` where the patch has no map.
     pub fn map(&self, patch: u32) -> Option<([usize; 2], [f64; 2])> {
         self.maps[patch as usize].map(|map| (map.axis, map.scale))
     }
@@ -116,7 +118,7 @@ impl Chart {
         at
     }
 
-    /// The end of [`walk`](Self::walk) and its `d(u, v)` by the departure: rows u and v.
+    /// The end of [`walk`](Self::walk) and the derivative of its `(u, v)` with respect to the departure: rows u and v.
     pub fn walk_derivative(
         &self,
         body: &Body,
@@ -135,7 +137,7 @@ impl Chart {
         (at, d)
     }
 
-    /// The departure that leads from one location to another, or `None` if it is not found.
+    /// The departure that leads from one location to another, or `None` if Newton's method does not find it within `tolerance`, m.
     pub fn unroll(&self, body: &Body, from: &Location, to: &Location, tolerance: f64) -> Option<[f64; 2]> {
         let map = self.maps[from.patch as usize].as_ref()?;
         let mut departure = [0.0; 2];
@@ -186,7 +188,7 @@ impl Chart {
         None
     }
 
-    /// How a [`departure`](Self::unroll) from `from` changes with the `(u, v)` of `to`.
+    /// The derivative of a [`departure`](Self::unroll) from `from` with respect to the `(u, v)` of `to`: rows are coordinates.
     pub fn unroll_derivative(
         &self,
         body: &Body,
@@ -204,7 +206,7 @@ impl Chart {
         dual.map(|row| [row.dot(&to.d_u), row.dot(&to.d_v)])
     }
 
-    /// Which coordinates of a departure run along a side: what a vertex on a sharp edge may do.
+    /// The coordinates of a departure that run along a side: those that a vertex on a sharp edge may move in.
     pub fn along_edge(&self, location: &Location, side: &EdgeSide) -> [bool; 2] {
         let along = usize::from(side.side.holds_u());
         match &self.maps[location.patch as usize] {

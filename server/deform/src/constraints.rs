@@ -1,4 +1,5 @@
-//! Constraints (sec. III.F of the paper): whether the vertices that they hold still lie on their components at the end.
+//! Constraints (sec. III.F of the paper), and the check that the vertices that they hold still lie on their components at the
+//! end.
 
 use std::sync::Arc;
 
@@ -13,9 +14,10 @@ use crate::{
     ownership::{Freedom, Ownership},
 };
 
-/// What holds each vertex.
+/// The constraints of a set-up.
 #[derive(Clone, Debug)]
 pub(crate) struct Constraints {
+    /// That of each vertex.
     of: Vec<Option<Constraint>>,
     ownership: Arc<Ownership>,
     /// Distance within which a vertex lies on a component, m.

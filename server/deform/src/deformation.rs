@@ -1,4 +1,4 @@
-//! A deformed mesh, measured: the chain's vertices and outputs, with what shows that they are right.
+//! Deformed meshes: the vertices and outputs of the chain, their residuals and quality.
 
 use moldline_geometry::{Body, Location};
 use moldline_mesh::{CellQuality, QualityReport, quality};
@@ -55,7 +55,10 @@ impl Setup {
         self.measure(state, monitor)
     }
 
-    /// The deformed mesh of a state, once its constraints are seen to be kept.
+    /// The deformed mesh of a state, with its quality.
+    ///
+    /// # Errors
+    /// [`DeformError::Held`] if a constraint is not kept.
     pub(crate) fn measure(
         &self,
         state: State,

@@ -1,4 +1,4 @@
-//! Why a set-up is refused or a deformation fails: what, where, and what to do.
+//! Errors of set-ups and deformations: what is wrong, where, and the way out.
 
 use std::fmt;
 
@@ -9,10 +9,10 @@ use thiserror::Error;
 
 use crate::rbf::RbfError;
 
-/// How many offenders an error lists by index.
+/// Number of offending vertices that an error lists.
 pub const LISTED: usize = 20;
 
-/// A vertex with a length that offends.
+/// A vertex with the length that is too large.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VertexDistance {
     /// Index of the vertex.
@@ -29,7 +29,7 @@ fn list(offenders: &[VertexDistance]) -> String {
         .join(", ")
 }
 
-/// What holds a vertex.
+/// The constraint that holds a vertex.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Constraint {
     /// It stays where it is in space.
@@ -99,14 +99,14 @@ pub enum SetupError {
         /// Largest value allowed.
         high: f64,
     },
-    /// An option names something that is not there.
+    /// An option names something that does not exist.
     #[error("options.{field} names `{name}`, which the set-up does not have; it has {known:?}")]
     UnknownName {
         /// Path of the field.
         field: String,
         /// The name given.
         name: String,
-        /// The names there are.
+        /// The names that exist.
         known: Vec<String>,
     },
     /// No component at all.
@@ -259,7 +259,7 @@ pub enum SetupError {
         target: String,
         /// |n . S_a| / |S_a| of the line.
         transversality: f64,
-        /// How far from the vertex was looked, m.
+        /// Distance of the points from the vertex, m.
         near: f64,
         /// Whether it is inside the target on both sides.
         inside: bool,
@@ -320,7 +320,7 @@ pub enum DeformError {
          mesh is)", list(worst), if *count > worst.len() { ", ..." } else { "" }
     )]
     Held {
-        /// What holds them.
+        /// The constraint that holds them.
         constraint: Constraint,
         /// How many vertices.
         count: usize,
@@ -343,7 +343,7 @@ pub enum DeformError {
         /// The worst ones with |Phi|.
         worst: Vec<VertexDistance>,
     },
-    /// A vertex lost its component's surface.
+    /// Vertices without a foot point on their component.
     #[error(
         "{count} vertices of `{component}` could not be put back onto it ({}{}); take a smaller step", list(worst),
         if *count > worst.len() { ", ..." } else { "" }

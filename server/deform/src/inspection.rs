@@ -12,7 +12,7 @@ use crate::ownership::{Freedom, Ownership, centroid};
 enum Source {
     /// The mean of the component's normals at these corners (a bit each), which are in the middle of the surface.
     Corners(u8),
-    /// The foot point of its middle, looked for from these parameters: all corners are on seams or sharp edges.
+    /// The foot point of its middle, searched from these parameters: all corners are on seams or sharp edges.
     Middle(Location),
 }
 
@@ -24,7 +24,7 @@ pub struct Inspection {
 }
 
 impl Inspection {
-    /// Prepares for a mesh in its reference state. `found`: what [`middles`](Self::middles) gave before, taken if it fits.
+    /// Prepares for a mesh in its reference state. `found`: the [`middles`](Self::middles) of an earlier set-up, taken if they fit.
     pub fn new(mesh: &SurfaceMesh, ownership: &Ownership, reference: &[Body], found: &[Location]) -> Self {
         let inner = |v: u32| matches!(ownership.of(v), [only] if only.freedom == Freedom::Surface);
         let masks: Vec<u8> = mesh

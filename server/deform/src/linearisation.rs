@@ -1,7 +1,7 @@
 //! Products with the derivative of a deformation: `J V` for blocks of directions, `J^T W` for blocks of seeds.
 //!
-//! What a product needs is kept when the deformation is linearised; applying it iterates and searches nothing. The steps are
-//! those of [`chain`](crate::chain); before them come the control points of the inputs.
+//! A linearisation keeps the derivative of each step of the [`chain`](crate::chain); applying it iterates and searches nothing.
+//! Before these steps come the control points of the inputs.
 
 use std::sync::Arc;
 
@@ -45,7 +45,7 @@ pub struct Stages {
     pub seam_positions: Vec<Vector3>,
     /// Of their parameters `(u, v)`, per owner.
     pub seam_parameters: Vec<Vec<[f64; 2]>>,
-    /// Of what each seam vertex does in the terms of each field.
+    /// Of the motion of each seam vertex in the terms of each field.
     pub motions: Vec<Vec<Vector3>>,
     /// Of the field value of every vertex.
     pub displacements: Vec<Vector3>,

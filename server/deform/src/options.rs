@@ -1,4 +1,4 @@
-//! What a user may choose about a set-up.
+//! Options of a set-up: the user's choices.
 
 use crate::{SetupError, rbf::Kernel};
 
@@ -20,12 +20,12 @@ pub enum Propagation {
     /// by component, in the deformed configuration.
     Departure,
     /// As `Departure`, but the departure is measured and interpolated on the undeformed component and moves a vertex
-    /// along its surface: what stretches, turns or carries the component is left out of the interpolation, and
+    /// along its surface: stretching, rotation and translation of the component stay out of the interpolation, and
     /// the result lies on the deformed component by construction.
     Surface,
 }
 
-/// Number and tolerance of the seam search (eq. 10 to 14).
+/// Numbers of steps and tolerances of the seam search (eq. 10 to 14).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SeamOptions {
     /// Soft bisection steps before the polish.
@@ -50,7 +50,7 @@ impl Default for SeamOptions {
 /// Graph-Laplacian smoothing interleaved with the projection.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SmoothingOptions {
-    /// How many rounds of smoothing and projection; none by default.
+    /// Number of rounds of smoothing and projection; none by default.
     pub rounds: usize,
     /// Weight of the neighbours' mean in a round, 0..=1.
     pub relaxation: f64,
@@ -77,7 +77,7 @@ pub struct Options {
     pub kernel: Option<Kernel>,
     /// Regularisation added to the diagonal of the radial basis system, relative to its scale; 0 interpolates.
     pub regularisation: f64,
-    /// How many training vertices at most, all components together. Seam and protected vertices come first.
+    /// Largest number of training vertices, all components together. Seam and protected vertices come first.
     pub training_vertices: usize,
     /// Blending radius as a fraction of the largest distance from a seam on the same component.
     pub blend_radius: f64,

@@ -1,4 +1,5 @@
-//! Which component each vertex and cell lies on, where, and what the vertex may do there. Found by projection alone.
+//! Ownership: the components that each vertex and cell lies on, where on them, and the freedom that a vertex has there. Found by
+//! projection alone.
 
 use moldline_geometry::{Body, Feature, Location};
 use moldline_mesh::{Cell, SurfaceMesh, Topology, area_vector};
@@ -10,12 +11,12 @@ use crate::{
     error::{LISTED, VertexDistance},
 };
 
-/// Parameters this near the side of a patch (relative to its range) are on it.
+/// Distance of a parameter from the side of a patch, relative to its range, up to which it is on the side.
 const ON_SIDE: f64 = 1e-9;
-/// Vertices handled between two looks at the monitor.
+/// Vertices handled between two calls of the monitor.
 const CHUNK: usize = 2048;
 
-/// What the constraints leave to a vertex.
+/// The freedom that the constraints leave to a vertex.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Freedom {
     /// Moves over its component's surface.
@@ -33,9 +34,9 @@ pub struct Attachment {
     pub component: u32,
     /// Parameters of the vertex there.
     pub location: Location,
-    /// What it may do.
+    /// The freedom that it has there.
     pub freedom: Freedom,
-    /// Distance of the mesh's vertex as given, m.
+    /// Distance of the vertex of the mesh as given from the component, m.
     pub distance: f64,
 }
 
@@ -54,14 +55,14 @@ pub struct Ownership {
 pub struct OwnershipParts {
     /// Attachments of vertex `v`: `attachments[offsets[v]..offsets[v + 1]]`.
     pub offsets: Vec<u32>,
-    /// Of all vertices.
+    /// The attachments of all vertices.
     pub attachments: Vec<Attachment>,
     /// Owner of each cell.
     pub cell_owner: Vec<u32>,
 }
 
 impl Ownership {
-    /// As it was found before; `None` if it is not of so many vertices and cells, or of other bodies.
+    /// The ownership of these parts; `None` if they do not fit the numbers of vertices and cells, or the bodies.
     pub fn restore(parts: OwnershipParts, vertices: usize, cells: usize, bodies: &[Body]) -> Option<Self> {
         let OwnershipParts { offsets, attachments, cell_owner } = parts;
         let ordered = offsets.len() == vertices + 1
@@ -78,7 +79,7 @@ impl Ownership {
         (ordered && fits && owned).then_some(Self { offsets, attachments, cell_owner })
     }
 
-    /// For [`restore`](Self::restore).
+    /// The parts, for [`restore`](Self::restore).
     pub fn parts(&self) -> OwnershipParts {
         OwnershipParts {
             offsets: self.offsets.clone(),
@@ -93,7 +94,7 @@ impl Ownership {
         &self.attachments[self.offsets[v] as usize..self.offsets[v + 1] as usize]
     }
 
-    /// The attachment that a vertex is placed by.
+    /// The first attachment of a vertex: the component that it is placed on.
     pub fn first(&self, vertex: u32) -> &Attachment {
         &self.attachments[self.offsets[vertex as usize] as usize]
     }
@@ -108,7 +109,7 @@ impl Ownership {
         self.of(vertex).len() > 1
     }
 
-    /// Whether a vertex may move all over one component.
+    /// Whether a vertex lies on one component and may move all over it.
     pub fn is_free(&self, vertex: u32) -> bool {
         matches!(self.of(vertex), [only] if only.freedom == Freedom::Surface)
     }
@@ -124,7 +125,7 @@ impl Ownership {
         0..self.vertex_count() as u32
     }
 
-    /// Holds the attachments of the vertices of a mask where they are.
+    /// Fixes the attachments of the vertices of a mask.
     pub fn fix(&mut self, mask: &[bool]) {
         for (range, _) in self.offsets.windows(2).zip(mask).filter(|(_, fixed)| **fixed) {
             let attachments = &mut self.attachments[range[0] as usize..range[1] as usize];
@@ -149,7 +150,7 @@ impl Ownership {
         }
     }
 
-    /// Projects all vertices on all components.
+    /// Finds the ownership by projecting all vertices on all components.
     ///
     /// `tolerance`: m, within which a vertex lies on a component.
     ///
@@ -268,7 +269,7 @@ fn attachments(x: &Vector3, bodies: &[Body], tolerance: f64) -> Vec<Attachment> 
         .collect()
 }
 
-/// What the component's sharp features leave to a vertex at `location`.
+/// The freedom that the component's sharp features leave to a vertex at `location`.
 fn freedom(body: &Body, location: &Location, feature: Feature) -> Freedom {
     let component = body.component();
     match feature {

@@ -1,4 +1,4 @@
-//! What a set-up found, as plain data and as text.
+//! The report of a set-up, as plain data and as text.
 
 use std::{fmt, sync::Arc};
 
@@ -32,7 +32,7 @@ pub struct ComponentSummary {
     pub rms_distance: f64,
 }
 
-/// Vertices by what the constraints leave to them.
+/// Numbers of vertices that constraints hold.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct ProtectedSummary {
     /// Slide along a sharp edge.
@@ -54,13 +54,13 @@ pub struct FieldSummary {
     pub training_vertices: usize,
     /// Of them, vertices of seams.
     pub seam_vertices: usize,
-    /// What the field is measured in: `surface parameters` or `space`.
+    /// Coordinates of the field: `surface parameters` or `space`.
     pub coordinates: &'static str,
     /// Memory of the factor, bytes.
     pub bytes: usize,
 }
 
-/// What a set-up found.
+/// The report of a set-up.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SetupReport {
     /// Number of vertices.
@@ -91,7 +91,7 @@ pub struct SetupReport {
     pub volume: f64,
     /// Mirror symmetry.
     pub symmetry: Symmetry,
-    /// Cells whose normal points against their component's, and the least cosine between the two.
+    /// Cells whose normal points against their component's.
     pub against_normal: usize,
     /// Least cosine between a cell's normal and its component's.
     pub least_normal_agreement: f64,
@@ -107,7 +107,7 @@ pub struct SetupReport {
     pub quality: QualityReport,
 }
 
-/// What a report is made from.
+/// The findings of a set-up that its report is made from.
 pub(crate) struct Findings<'a> {
     pub mesh: &'a SurfaceMesh,
     pub topology: &'a Topology,
@@ -118,11 +118,11 @@ pub(crate) struct Findings<'a> {
     pub symmetry: &'a MeshSymmetry,
     pub options: &'a Options,
     pub length: f64,
-    /// How many.
+    /// Number of edges with one cell outside the symmetry plane.
     pub open_edges: usize,
-    /// How many vertices.
+    /// Number of vertices in the symmetry plane.
     pub in_plane: usize,
-    /// How many vertices.
+    /// Number of vertices that stay where they are in space.
     pub stationary: usize,
     pub components: Vec<ComponentSummary>,
     pub seams: Vec<SeamSummary>,
@@ -193,7 +193,7 @@ fn field_summary(region: &RegionField, components: &[Body]) -> FieldSummary {
     }
 }
 
-/// What there is of each component: as the vertices were found, before groups are protected.
+/// Summaries of the components.
 pub(crate) fn components(ownership: &Ownership, components: &[Arc<Component>]) -> Vec<ComponentSummary> {
     (0u32..)
         .zip(components)

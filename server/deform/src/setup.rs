@@ -1,4 +1,4 @@
-//! The set-up: everything that does not change with the design, found once and shared by all sessions.
+//! The set-up: everything that does not change with the design. It is built once and shared by all sessions.
 
 use std::sync::Arc;
 
@@ -12,7 +12,7 @@ use crate::{
     bodies::bodies,
     chain::{
         Chain,
-        field::{FieldBuilder, RegionField},
+        field::{RegionField, setup::FieldBuilder},
         motion::Motions,
         outputs::{Function, OutputDeclaration, Outputs},
         placement::Placement,
@@ -31,7 +31,7 @@ use crate::{
     symmetry::{InPlane, MeshSymmetry},
 };
 
-/// What a set-up is built from.
+/// The input of a set-up.
 #[derive(Clone, Debug)]
 pub struct SetupInput {
     /// The components; their reference control points are the parameterisation's at its baseline.
@@ -42,18 +42,18 @@ pub struct SetupInput {
     pub parameterisation: Parameterisation,
     /// Scalar outputs besides those that every set-up has.
     pub outputs: Vec<OutputDeclaration>,
-    /// Choices.
+    /// The user's choices.
     pub options: Options,
 }
 
-/// What a set-up finds that takes time: enough to have the same set-up again without looking for it.
+/// The results of a set-up's searches and factorisations, from which the same set-up is restored without doing them again.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Derived {
-    /// Where every vertex lies.
+    /// The components that every vertex lies on, and where.
     pub ownership: OwnershipParts,
     /// The seams.
     pub seams: FoundSeams,
-    /// Where the normals are taken of cells that have no corner in the middle of a surface.
+    /// Where normals are taken for the cells that have no corner in the middle of a surface.
     pub middles: Vec<Location>,
     /// The factorised fields, in their order.
     pub fields: Vec<Factors>,
@@ -62,9 +62,9 @@ pub struct Derived {
 /// The seams of a set-up.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FoundSeams {
-    /// Of the vertices on two components.
+    /// The search lines of the vertices on two components.
     pub lines: Vec<FoundLine>,
-    /// Where the search finds all seam vertices in the reference state, m.
+    /// All seam vertices where the search finds them in the reference state, m.
     pub points: Vec<Vector3>,
     /// Largest distance of such a point to its components, m.
     pub residual: f64,
@@ -101,8 +101,8 @@ impl Setup {
         Self::assemble(input, Derived::default(), monitor)
     }
 
-    /// The set-up that [`build`](Self::build) gives, bit for bit, from what that [`derived`](Self::derived) from the same
-    /// input. What does not fit the input is found again; what fits is believed.
+    /// The set-up that [`build`](Self::build) gives, bit for bit, from what an earlier one [`derived`](Self::derived) from the same
+    /// input. Parts that do not fit the input are found again; those that fit are not verified.
     ///
     /// # Errors
     /// As `build`.
@@ -114,7 +114,7 @@ impl Setup {
         Self::assemble(input, derived, monitor)
     }
 
-    /// What took time to find.
+    /// The data to [`restore`](Self::restore) from.
     pub fn derived(&self) -> Derived {
         Derived {
             ownership: self.ownership.parts(),
@@ -276,12 +276,12 @@ impl Setup {
         })
     }
 
-    /// What was found.
+    /// The report of the set-up.
     pub fn report(&self) -> &SetupReport {
         &self.report
     }
 
-    /// Bytes that it holds, about: the factors, and what there is of each vertex and cell.
+    /// Approximate memory, bytes: that of the factors, and a fixed amount for each vertex and cell.
     pub fn bytes(&self) -> usize {
         /// Positions, attachments, adjacency, groups, normals.
         const OF_A_VERTEX: usize = 400;
@@ -325,7 +325,7 @@ impl Setup {
         self.chain.outputs.functions()
     }
 
-    /// What they are made of.
+    /// The scalar outputs, with what they are made of.
     pub fn outputs(&self) -> &Outputs {
         &self.chain.outputs
     }
@@ -336,7 +336,7 @@ impl Setup {
         self.chain.outputs.eval(self.chain.measured(&vertices, &self.reference))
     }
 
-    /// Where every vertex lies.
+    /// The components that every vertex lies on, and where.
     pub fn ownership(&self) -> &Ownership {
         &self.ownership
     }
@@ -422,8 +422,8 @@ fn check_names(names: &[String], options: &Options, mesh: &SurfaceMesh) -> Resul
     Ok(())
 }
 
-/// Where the search finds the seam vertices in the reference state, m, and the largest distance of such a point to its
-/// components, m: taken from what was `found` before with the same lines.
+/// The seam vertices where the search finds them in the reference state, m, and the largest distance of such a point to its
+/// components, m. Both are taken from `found` if it has the same lines.
 fn reference_seams(
     seams: &SeamSolver,
     found: FoundSeams,

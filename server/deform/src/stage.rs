@@ -5,7 +5,7 @@
 pub enum Stage {
     /// Set-up: topology and symmetry of the mesh.
     Mesh,
-    /// Set-up: which component each vertex lies on, and where.
+    /// Set-up: projection of the vertices onto their components.
     Ownership,
     /// Set-up: seams, their search lines and brackets.
     Seams,

@@ -1,4 +1,4 @@
-//! Mirror symmetry at the plane y = 0, and holes of the mesh, of which the open side in that plane is none.
+//! Mirror symmetry at the plane y = 0, and holes of the mesh: the open side of a half model in that plane is none.
 
 use std::sync::Arc;
 
@@ -62,7 +62,7 @@ impl MeshSymmetry {
         InPlane(mesh.vertices.iter().map(in_plane).collect())
     }
 
-    /// The edges with one cell that are no border in the plane.
+    /// The edges with one cell that are not on the border in the plane.
     ///
     /// # Errors
     /// [`SetupError::OpenMesh`] if there are any and the options do not accept them; [`SetupError::NonManifold`].

@@ -1,6 +1,7 @@
 //! Displacement fields (sec. III.E of the paper, eq. 16 and 17): training data from the seams, radial basis functions
 //! through them, values at all vertices of a region. Everything is linear, so that a field is its own derivative.
 
+pub(crate) mod setup;
 pub mod training;
 
 use std::sync::Arc;
@@ -9,17 +10,14 @@ use moldline_geometry::{
     Block, Body, Location,
     block::{add_row, add_vector},
 };
-use moldline_mesh::{Plane, SurfaceMesh, Topology};
+use moldline_mesh::Plane;
 use moldline_spline::Vector3;
 
-use super::seams::SeamSolver;
 use crate::{
-    Monitor, Options, Propagation, SetupError, Stage,
     chart::Chart,
-    ownership::{Freedom, Ownership},
     rbf::{Factors, Kernel, RadialBasis, RbfError},
 };
-use training::{Region, TrainingVertex};
+use training::TrainingVertex;
 
 /// The mirror that completes a half model.
 #[derive(Clone, Debug)]
@@ -28,7 +26,7 @@ pub struct Mirror<'a> {
     pub plane: &'a Plane,
     /// Distance within which a vertex lies in it, m.
     pub tolerance: f64,
-    /// What it does to a datum, component by component.
+    /// Signs of the mirror image of a datum, component by component.
     pub signs: Vec<f64>,
 }
 
@@ -38,7 +36,7 @@ pub struct Field {
     training: Vec<TrainingVertex>,
     /// Training vertices whose mirror images are centres too: those of a half model that are off its plane.
     images: Vec<u32>,
-    /// What the mirror does to a datum, component by component.
+    /// Signs of the mirror image of a datum, component by component.
     mirror_signs: Vec<f64>,
     basis: RadialBasis,
 }
@@ -47,7 +45,7 @@ impl Field {
     /// Factorises the system of a training set. `reference` are the positions of all vertices of the mesh, m. With a
     /// `mirror` the field is that of the whole configuration, of which the mesh is one half.
     ///
-    /// Where `found` has the factors of this system, they are taken.
+    /// Factors in `found` are taken if they are those of this system.
     ///
     /// # Errors
     /// [`RbfError`] if the training vertices coincide or lie in one plane.
@@ -83,7 +81,7 @@ impl Field {
         Ok(Self { basis, training, images, mirror_signs })
     }
 
-    /// What took time to find.
+    /// The factors of the system, to be kept between set-ups.
     pub fn factors(&self) -> Factors {
         self.basis.factors()
     }
@@ -98,7 +96,7 @@ impl Field {
         &self.images
     }
 
-    /// What the mirror does to a datum, component by component.
+    /// Signs of the mirror image of a datum, component by component.
     pub fn mirror_signs(&self) -> &[f64] {
         &self.mirror_signs
     }
@@ -113,7 +111,7 @@ impl Field {
         self.basis.bytes()
     }
 
-    /// Field values at `points`, a row each. `seam_motion`: what each seam vertex does, a row each. The datum of training
+    /// Field values at `points`, a row each. `seam_motion`: the motion of each seam vertex in the field's terms, a row each. The datum of training
     /// vertex `i` is (eq. 15) `(1 - alpha_i) component_motion(i) + sum_k weight_ik seam_motion[k]`; `component_motion` adds a
     /// multiple of the motion of a training vertex with its component to a row.
     pub fn eval(
@@ -171,18 +169,18 @@ impl Field {
 /// A field and the vertices that it moves.
 #[derive(Clone, Debug)]
 pub struct RegionField {
-    /// The component moved; `None`: all of them.
+    /// The component that the field moves; `None`: all of them.
     pub component: Option<u32>,
     /// Surface coordinates in which departures are measured; `None`: they are vectors in space.
     pub chart: Option<Arc<Chart>>,
     /// The factorised system.
     pub field: Field,
-    /// Vertices moved: all of the region that are neither on a seam nor fixed.
+    /// The vertices that the field moves: all of the region that are neither on a seam nor fixed.
     pub vertices: Vec<u32>,
     /// Their reference positions, m.
     pub points: Vec<Vector3>,
-    /// Where the training vertices are on their components. `None` for a field of departures: away from the seams nothing
-    /// departs.
+    /// Places of the training vertices on their components. `None` for a field of departures, which are zero away from the
+    /// seams.
     anchors: Option<Vec<Anchor>>,
 }
 
@@ -196,7 +194,7 @@ struct Anchor {
 }
 
 impl RegionField {
-    /// Numbers of a value.
+    /// Numbers that a value has.
     pub fn columns(&self) -> usize {
         if self.chart.is_some() { 2 } else { 3 }
     }
@@ -263,7 +261,7 @@ impl Fields {
         self.rows[vertex as usize].map(|(field, _)| &self.regions[field as usize])
     }
 
-    /// Values at all vertices moved, a block a field, from the motions of the seam vertices.
+    /// Values at the vertices of each field, a block a field, from the motions of the seam vertices.
     pub fn eval(&self, motions: &[Block], bodies: &[Body]) -> Vec<Block> {
         self.regions.iter().zip(motions).map(|(region, motion)| region.eval(motion, bodies)).collect()
     }
@@ -284,7 +282,7 @@ impl Fields {
         self.regions.iter().zip(seeds).map(of_region).collect()
     }
 
-    /// No values in `k` directions.
+    /// Values of zero in `k` directions.
     pub fn zeros(&self, k: usize) -> Vec<Block> {
         self.regions.iter().map(|region| Block::zeros(region.vertices.len(), region.columns() * k)).collect()
     }
@@ -303,127 +301,5 @@ impl Fields {
             Some((field, row)) => values[field as usize].row_mut(row as usize),
             None => &mut [],
         }
-    }
-}
-
-/// What the fields of a set-up are built from.
-pub(crate) struct FieldBuilder<'a> {
-    pub options: &'a Options,
-    pub mesh: &'a SurfaceMesh,
-    pub topology: &'a Topology,
-    pub ownership: &'a Ownership,
-    pub seams: &'a SeamSolver,
-    pub reference: &'a [Body],
-    pub positions: &'a [Vector3],
-    pub mirror: Option<&'a [u32]>,
-    pub half: Option<(&'a Plane, f64)>,
-    pub names: &'a [String],
-    /// Factors known already, in the order of the fields.
-    pub found: &'a [Factors],
-}
-
-impl FieldBuilder<'_> {
-    /// Chooses the training vertices and factorises, region by region.
-    pub fn build(&self, monitor: &dyn Monitor<Stage>) -> Result<Fields, SetupError> {
-        let regions: Vec<Option<u32>> = match self.options.propagation {
-            Propagation::Absolute => vec![None],
-            Propagation::Departure | Propagation::Surface => {
-                (0u32..).zip(self.names).map(|(c, _)| Some(c)).collect()
-            }
-        };
-        let seam_vertices: Vec<u32> = self.seams.vertices.iter().map(|s| s.vertex).collect();
-        let fixed = |v: &u32| self.ownership.of(*v).iter().any(|a| a.freedom == Freedom::Fixed);
-        let held: Vec<u32> = self.ownership.vertices().filter(fixed).collect();
-        let mut fields = Vec::new();
-        for (done, &component) in regions.iter().enumerate() {
-            if monitor.cancelled() {
-                return Err(SetupError::Cancelled);
-            }
-            let contains = |v: u32| component.is_none_or(|c| self.ownership.on(v, c).is_some());
-            let members = self.ownership.vertices().filter(|&v| contains(v));
-            let share = members.clone().count() as f64 / self.positions.len() as f64;
-            let region = Region {
-                topology: self.topology,
-                vertices: &self.mesh.vertices,
-                contains: &contains,
-                mirror: self.mirror,
-                seam_vertices: &seam_vertices,
-                held: &held,
-                blend_radius: self.blend_radius(component),
-            };
-            let count = (share * self.options.training_vertices as f64).ceil() as usize;
-            let training = match component {
-                None => region.absolute_set(count),
-                Some(_) => region.departure_set(count),
-            };
-            if training.is_empty() {
-                continue;
-            }
-            let chart = component
-                .filter(|_| self.options.propagation == Propagation::Surface)
-                .and_then(|c| self.chart(c))
-                .map(Arc::new);
-            let mirror = self.mirror_of(component, chart.as_deref());
-            let kernel = self.options.kernel();
-            let regularisation = self.options.regularisation;
-            let found = self.found.get(fields.len());
-            let anchor = |t: &TrainingVertex| {
-                let own = self.ownership.first(t.vertex);
-                let start = self.positions[t.vertex as usize];
-                Anchor { component: own.component as usize, location: own.location, start }
-            };
-            let anchors = component.is_none().then(|| training.iter().map(anchor).collect());
-            let field = Field::new(training, self.positions, kernel, regularisation, mirror, found).map_err(
-                |reason| SetupError::Factorisation {
-                    field: component.map_or("the whole mesh".into(), |c| self.names[c as usize].clone()),
-                    reason,
-                },
-            )?;
-            let moved =
-                members.filter(|&v| matches!(self.ownership.of(v), [only] if only.freedom != Freedom::Fixed));
-            let vertices: Vec<u32> = moved.collect();
-            let points = vertices.iter().map(|&v| self.positions[v as usize]).collect();
-            fields.push(RegionField { component, chart, field, vertices, points, anchors });
-            monitor.progress(Stage::Factorisation, (done + 1) as f64 / regions.len() as f64);
-        }
-        monitor.progress(Stage::Factorisation, 1.0);
-        Ok(Fields::new(fields, self.positions.len(), seam_vertices.len()))
-    }
-
-    /// Surface coordinates over at least the patches that carry seams.
-    fn chart(&self, component: u32) -> Option<Chart> {
-        let body = &self.reference[component as usize];
-        let mut required = vec![false; body.component().patches().len()];
-        for own in self.seams.vertices.iter().filter_map(|s| self.ownership.on(s.vertex, component)) {
-            required[own.location.patch as usize] = true;
-        }
-        Chart::new(body, &required)
-    }
-
-    /// The mirror of a half model, for regions that reach its plane.
-    fn mirror_of(&self, component: Option<u32>, chart: Option<&Chart>) -> Option<Mirror<'_>> {
-        let (plane, tolerance) = self.half?;
-        let on = |v: u32| component.is_none_or(|c| self.ownership.on(v, c).is_some());
-        let in_plane = |v: u32| plane.signed_distance(&self.mesh.vertices[v as usize]).abs() <= tolerance;
-        if !self.ownership.vertices().any(|v| on(v) && in_plane(v)) {
-            return None;
-        }
-        let signs = match (chart, component) {
-            (Some(chart), Some(c)) => {
-                let seam = self.seams.vertices.iter().find_map(|s| self.ownership.on(s.vertex, c));
-                let location = seam.map(|a| a.location)?;
-                chart.mirror_signs(&self.reference[c as usize], &location, plane)?.to_vec()
-            }
-            _ => vec![1.0, -1.0, 1.0],
-        };
-        Some(Mirror { plane, tolerance, signs })
-    }
-
-    fn blend_radius(&self, component: Option<u32>) -> f64 {
-        let of_name = component.and_then(|c| {
-            let name = &self.names[c as usize];
-            self.options.blend_radius_of.iter().find(|(n, _)| n == name)
-        });
-        of_name.map_or(self.options.blend_radius, |(_, radius)| *radius)
     }
 }

@@ -1,7 +1,7 @@
-//! The motions of the seam vertices in the terms of each field: what the field interpolates.
+//! The motions of the seam vertices in the terms of each field, which the field interpolates.
 //!
 //! A field over a component measures how far a seam vertex departs from the motion of that component: in a chart of the
-//! undeformed component (eq. `d = chart^-1(mu)`), as a vector on the undeformed component, or as a vector from the point of
+//! undeformed component (its departure), as a vector on the undeformed component, or as a vector from the point of
 //! the deformed component that it was. A field over the whole mesh takes displacements in space.
 
 use std::sync::Arc;

@@ -1,4 +1,4 @@
-//! Scalar outputs besides the vertices, as optimizers constrain them: enclosed volume, wetted areas, volumes of components,
+//! Scalar outputs, as optimizers constrain them: enclosed volume, wetted areas, volumes of components,
 //! tracked points, planforms.
 
 mod area;
@@ -49,7 +49,7 @@ pub struct Function {
     pub unit: &'static str,
 }
 
-/// What a group of functions is made of.
+/// An item that one or three functions are made of.
 #[derive(Clone, Debug)]
 pub enum Item {
     /// Volume within the mesh.
@@ -75,7 +75,7 @@ pub enum Item {
 pub struct Outputs {
     functions: Vec<Function>,
     items: Vec<Item>,
-    /// What volumes are seen from; on the symmetry plane of a half model, whose open side then adds nothing.
+    /// The point that volumes are seen from, m; on the symmetry plane of a half model, whose open side then adds nothing.
     origin: Vector3,
 }
 
@@ -86,7 +86,7 @@ pub struct OutputsDerivative {
 }
 
 impl Outputs {
-    /// The outputs that every set-up has, and the declared ones. `origin`: what volumes are seen from.
+    /// The outputs that every set-up has, and the declared ones. `origin`: the point that volumes are seen from, m.
     ///
     /// # Errors
     /// [`SetupError::Output`] naming the output and what is wrong with it.
@@ -172,12 +172,12 @@ impl Outputs {
         &self.functions
     }
 
-    /// What the functions are made of, in the same order.
+    /// The items that the functions are made of, in the same order.
     pub fn items(&self) -> &[Item] {
         &self.items
     }
 
-    /// What volumes are seen from, m.
+    /// The point that volumes are seen from, m.
     pub fn origin(&self) -> Vector3 {
         self.origin
     }

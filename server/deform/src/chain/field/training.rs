@@ -1,8 +1,8 @@
 //! Training vertices and their data (sec. III.D of the paper, eq. 15): distances to the seams along the mesh, blending
 //! weights, and which vertices carry the displacement field.
 //!
-//! A training datum is a fixed linear combination of what the seam vertices do, so that data, field and mesh depend
-//! linearly on the seams.
+//! A training datum is a fixed linear combination of the motions of the seam vertices, so that data and field depend linearly
+//! on these.
 
 use moldline_foundation::smooth_step::smooth_step;
 use moldline_mesh::{Topology, graph, nearest_sources};
@@ -28,7 +28,7 @@ impl TrainingVertex {
     }
 }
 
-/// The part of the mesh over which one field is spread.
+/// The part of the mesh that one field covers.
 pub struct Region<'a> {
     /// Adjacency of the whole mesh.
     pub topology: &'a Topology,
@@ -40,7 +40,7 @@ pub struct Region<'a> {
     pub mirror: Option<&'a [u32]>,
     /// Vertices of the seam points, in their order, those outside the region included.
     pub seam_vertices: &'a [u32],
-    /// Vertices that stay with their component wherever they are (corners, poles, user's groups).
+    /// Vertices that follow their component at fixed parameters (corners, poles, protected groups).
     pub held: &'a [u32],
     /// Blending radius as a fraction of the largest distance from a seam.
     pub blend_radius: f64,

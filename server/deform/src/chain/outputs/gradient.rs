@@ -15,7 +15,7 @@ pub struct Measured<'a> {
     pub vertices: &'a [[f64; 3]],
     /// The components in the same state.
     pub bodies: &'a [Body],
-    /// What volumes are seen from, m.
+    /// The point that volumes are seen from, m.
     pub origin: Vector3,
 }
 
@@ -45,19 +45,19 @@ pub struct At {
 /// The gradient of one function.
 #[derive(Clone, Debug, Default)]
 pub(super) struct FunctionGradient {
-    /// By the vertices; empty if it does not depend on them.
+    /// With respect to the vertices; empty if it does not depend on them.
     pub vertices: Vec<Vector3>,
-    /// By the internal control points of some components.
+    /// With respect to the internal control points of some components.
     pub control_points: Vec<(usize, Block)>,
 }
 
 impl FunctionGradient {
-    /// That of a function of the vertices.
+    /// The gradient of a function of the vertices.
     pub fn of_vertices(vertices: Vec<Vector3>) -> Self {
         Self { vertices, control_points: Vec::new() }
     }
 
-    /// Adds the gradient of a function of a point of a component, `by` with respect to the point.
+    /// Adds the gradient of a function of a point of a component; `by` is that with respect to the point.
     pub fn add_point(&mut self, point: &At, by: &Vector3, bodies: &[Body]) {
         let body = &bodies[point.component];
         let slot = self.control_points.iter().position(|(c, _)| *c == point.component).unwrap_or_else(|| {

@@ -35,7 +35,7 @@ fn values_and_gradients(stations: &[[At; 2]], bodies: &[Body]) -> ([f64; 3], [Ve
     // Stations may run from either tip.
     let sign = (y(last) - y(0)).signum();
     let (mut area, mut squares) = (0.0, 0.0);
-    // Gradients of the area and of the integral of the squared chord by chords and by y.
+    // Gradients of the area and of the integral of the squared chord with respect to chords and to y.
     let mut by = vec![[[0.0; 2]; 2]; points.len()];
     for k in 0..last {
         let (c, d, width) = (chord(k), chord(k + 1), sign * (y(k + 1) - y(k)));

@@ -35,7 +35,7 @@ pub(super) fn gradients(points: &[(At, f64)], bodies: &[Body]) -> [FunctionGradi
 }
 
 impl ComponentPoint {
-    /// The point by its internal parameters, or why there is none.
+    /// The point by its internal parameters. The error says why there is none.
     pub(super) fn locate<C: AsRef<Component>>(&self, components: &[C]) -> Result<At, String> {
         let count = components.len();
         let component = components

@@ -1,4 +1,4 @@
-//! Set-up of the seam search: reference component, line, bracket and targets of every seam vertex (math: sec. III.C).
+//! Set-up of the seam search (sec. III.C of the paper): reference component, line, bracket and targets of every seam vertex.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -38,7 +38,7 @@ pub struct SeamSummary {
     pub bracket: [f64; 2],
 }
 
-/// A way to search: component and direction.
+/// A candidate line: its component and direction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Choice {
     component: u32,
@@ -53,7 +53,7 @@ enum Direction {
     Across,
 }
 
-/// What takes time to find of the line of a seam vertex on two components.
+/// The results of the search for the line of a seam vertex on two components, to be kept between set-ups.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FoundLine {
     /// Index into the mesh.
@@ -86,7 +86,7 @@ pub fn found_lines(solver: &SeamSolver) -> Vec<FoundLine> {
     lines.collect()
 }
 
-/// Builds the solver for the seam vertices of `ownership`. Rows of vertices whose lines are all in `found` are taken from there.
+/// The solver for the seam vertices of `ownership`. Lines of a row of vertices are taken from `found` if all of them are there.
 ///
 /// # Errors
 /// [`SetupError::TangentSeam`] where components touch without crossing.
@@ -143,7 +143,8 @@ pub fn seam_solver(
     Ok((SeamSolver { vertices: solver_vertices, options, length }, summaries))
 }
 
-/// Rows of neighbouring vertices on the same two components; each row and the rows among them in order of their first vertex.
+/// Rows of neighbouring vertices on the same two components. Vertices are in order within a row, rows in order of their first
+/// vertices.
 fn rows(ownership: &Ownership, topology: &Topology, seam_vertices: &[u32]) -> Vec<Vec<u32>> {
     let pair = |v: u32| -> Option<[u32; 2]> {
         match ownership.of(v) {
@@ -175,7 +176,7 @@ fn rows(ownership: &Ownership, topology: &Topology, seam_vertices: &[u32]) -> Ve
     rows
 }
 
-/// Lines of one row, all of one choice where that crosses everywhere, with their transversality.
+/// Lines of one row with their transversality: the same choice for all vertices where that crosses the target everywhere.
 fn row_lines(
     row: &[u32],
     ownership: &Ownership,
@@ -235,11 +236,11 @@ fn row_lines(
             Ok((line, scores[k]))
         })
         .collect();
-    // In order, so that the fault named is the first one whatever the threads do.
+    // In order, so that the error is that of the first vertex whatever the threads do.
     lines.into_iter().collect()
 }
 
-/// A line that was found before, with its transversality; `None` if its vertex does not lie on those two components.
+/// A line found by an earlier set-up, with its transversality; `None` if its vertex does not lie on those two components.
 fn restored(found: &FoundLine, ownership: &Ownership, bodies: &[Body]) -> Option<(SeamLine, f64)> {
     let FoundLine { vertex, components: [reference, target], direction, bracket, limits, from_inside } =
         *found;
@@ -320,7 +321,7 @@ fn parameter_direction(choice: Choice, own: &Attachment, other: &Attachment, bod
 enum LineFault {
     /// It ends at the vertex.
     End,
-    /// Both sides of the vertex, so many metres away, are inside the target, or both outside.
+    /// The points `near` metres before and behind the vertex are both inside the target, or both outside.
     Sides { near: f64, inside: bool },
 }
 
@@ -439,7 +440,7 @@ fn carried(
         .collect()
 }
 
-/// The best conditioned way to find a vertex where several components meet.
+/// The best conditioned choice of reference component and targets for a vertex where several components meet.
 fn junction(vertex: u32, ownership: &Ownership, bodies: &[Body]) -> Result<Junction, SetupError> {
     let owners = ownership.of(vertex);
     let mut best: Option<(f64, Junction)> = None;
