@@ -27,7 +27,7 @@ pub fn bench(large: bool, large_folder: Option<PathBuf>) -> Outcome {
     let (mut rounds, mut peers) = (Vec::new(), Vec::new());
     for _ in 0..ROUNDS {
         rounds.push(json_lines(goals("interpolation").env("MOLDLINE_BENCH_DATA", &data))?);
-        let answers = json_lines(python.script("examples/bench/rbf.py").arg(&data))?;
+        let answers = json_lines(python.script("xtask/scripts/bench/rbf.py").arg(&data))?;
         peers.push(answers.last().ok_or("scipy's side printed nothing")?.clone());
     }
     let answer = median(peers, "milliseconds").ok_or("scipy's side gave no time")?;
@@ -60,7 +60,7 @@ pub fn bench(large: bool, large_folder: Option<PathBuf>) -> Outcome {
     }
     rows.append(&mut json_lines(&mut engine)?);
     let binary = build_moldline(true)?;
-    rows.append(&mut json_lines(python.script("examples/bench/round_trip.py").arg("--binary").arg(binary))?);
+    rows.append(&mut json_lines(python.script("xtask/scripts/bench/round_trip.py").arg("--binary").arg(binary))?);
 
     let mut missed = 0;
     println!("\n{:<84} {:>12} {:<9} goal", "what", "value", "unit");

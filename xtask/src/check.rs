@@ -48,7 +48,7 @@ pub fn test() -> Outcome {
     match build_moldline(false).and_then(|binary| Ok((binary, Clients::built()?))) {
         Ok((binary, clients)) => {
             let mut pytest = python.module("pytest");
-            pytest.args(["-q", "--durations=5", "tests/e2e", "examples/demo", "examples/e175/study"]);
+            pytest.args(["-q", "--durations=5", "tests/e2e", "xtask/scripts/demo", "examples/e175/study"]);
             pytest.env("MOLDLINE_BINARY", binary);
             step(run("pytest", clients.tell(&mut pytest)));
         }

@@ -7,11 +7,11 @@ use crate::{
     python::Python,
 };
 
-/// Serves, uploads, deforms, reports: `examples/demo/demo.py` against the release build.
+/// Serves, uploads, deforms, reports: `xtask/scripts/demo/demo.py` against the release build.
 pub fn demo(pictures: bool) -> Outcome {
     let python = Python::ready()?;
     let binary = build_moldline(true)?;
-    let mut script = python.script("examples/demo/demo.py");
+    let mut script = python.script("xtask/scripts/demo/demo.py");
     script.arg("--binary").arg(binary).arg("--out").arg(root().join("out/demo"));
     if !pictures {
         script.arg("--no-pictures");
@@ -28,11 +28,11 @@ pub fn study(arguments: &[String]) -> Outcome {
     run("study", &mut script)
 }
 
-/// The panel method where the flow is known: `examples/panel/validate.py` against the release build; writes docs/validation.md.
+/// The panel method where the flow is known: `xtask/scripts/panel/validate.py` against the release build; writes docs/validation.md.
 pub fn validate_panel() -> Outcome {
     let python = Python::ready()?;
     let binary = build_moldline(true)?;
-    let mut script = python.script("examples/panel/validate.py");
+    let mut script = python.script("xtask/scripts/panel/validate.py");
     script.arg("--binary").arg(binary).arg("--out").arg(root().join("out/panel"));
     run("validation of the panel method", script.arg("--docs").arg(root().join("docs")))
 }
@@ -55,7 +55,7 @@ pub fn figures(large: Option<PathBuf>) -> Outcome {
     let python = Python::ready()?;
     let folder = large_mesh(&python, large)?;
     let binary = build_moldline(true)?;
-    let mut script = python.script("examples/demo/figures.py");
+    let mut script = python.script("xtask/scripts/demo/figures.py");
     script.arg("--binary").arg(binary).arg("--mesh").arg(folder);
     run("figures", script.arg("--out").arg(root().join("docs/images")))
 }

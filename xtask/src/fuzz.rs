@@ -32,13 +32,13 @@ struct Progress {
     finding: Option<String>,
 }
 
-/// Runs the targets one after the other for so many seconds each. The corpus in `fuzz/corpus` goes on from run to run.
+/// Runs the targets one after the other for so many seconds each. The corpus in `tests/fuzz/corpus` goes on from run to run.
 pub fn fuzz(seconds: u64, only: &[String]) -> Outcome {
     let tool = installed()?;
     let cargo_fuzz = |verb: &str| {
         let mut command = command(&tool);
         // The sanitizer is an option of the compiler that only nightly ones take unasked.
-        command.arg(verb).env("RUSTC_BOOTSTRAP", "1");
+        command.args([verb, "--fuzz-dir", "tests/fuzz"]).env("RUSTC_BOOTSTRAP", "1");
         command
     };
     let listed = cargo_fuzz("list").output().map_err(|error| format!("cargo fuzz: {error}"))?;
@@ -49,11 +49,11 @@ pub fn fuzz(seconds: u64, only: &[String]) -> Outcome {
     let targets = if only.is_empty() { &all[..] } else { only };
 
     let seeds = root().join("target/fuzz-seeds");
-    run("seeds", Python::ready()?.script("fuzz/seeds.py").arg(&seeds))?;
+    run("seeds", Python::ready()?.script("tests/fuzz/seeds.py").arg(&seeds))?;
     run("build the targets", cargo_fuzz("build").args(["--target-dir", "target/fuzz"]))?;
     let mut rows = Vec::with_capacity(targets.len());
     for target in targets {
-        let corpus = root().join("fuzz/corpus").join(target);
+        let corpus = root().join("tests/fuzz/corpus").join(target);
         fs::create_dir_all(&corpus).map_err(|error| format!("cannot make {}: {error}", corpus.display()))?;
         let mut fuzzing = cargo_fuzz("run");
         fuzzing.args([target, "--target-dir", "target/fuzz"]).arg(&corpus).arg(seeds.join(target));

@@ -12,8 +12,8 @@ use crate::process::{Outcome, command, root, run};
 const OLDEST: (u32, u32) = (3, 11);
 /// Requirements of everything that is run here, besides the client's own.
 const REQUIREMENTS: [&str; 4] = [
-    "examples/demo/requirements.txt",
-    "examples/bench/requirements.txt",
+    "xtask/scripts/demo/requirements.txt",
+    "xtask/scripts/bench/requirements.txt",
     "examples/e175/study/requirements.txt",
     "tests/requirements.txt",
 ];

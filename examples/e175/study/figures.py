@@ -17,7 +17,7 @@ import numpy as np
 from matplotlib.collections import LineCollection, PolyCollection
 from numpy.typing import NDArray
 
-sys.path.append(str(Path(__file__).parents[2] / "demo"))
+sys.path.append(str(Path(__file__).resolve().parents[3] / "xtask/scripts/demo"))
 
 from render import NO_VERTEX, View, beside, render, text  # noqa: E402  # the demo's renderer
 

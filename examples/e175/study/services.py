@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 HERE = Path(__file__).resolve().parent
 E175 = HERE.parent
-sys.path.append(str(HERE.parents[1] / "demo"))
+sys.path.append(str(HERE.parents[2] / "xtask/scripts/demo"))
 
 from demo import Server  # noqa: E402  # the demo's
 

@@ -1,6 +1,6 @@
 """Writes inputs to begin with, for each target a folder: small files of every kind that it reads, from the repository.
 
-    python fuzz/seeds.py FOLDER
+    python tests/fuzz/seeds.py FOLDER
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 sys.path.append(str(ROOT / "tests" / "e2e"))
 
 import sphere_and_boom  # noqa: E402

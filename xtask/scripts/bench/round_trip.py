@@ -23,7 +23,7 @@ from typing import Any
 import moldline
 import numpy as np
 
-E175 = Path(__file__).resolve().parents[1] / "e175"
+E175 = Path(__file__).resolve().parents[3] / "examples/e175"
 REPEATS = 15
 #: Milliseconds less the engine's.
 GOALS = {"Deform": "<= 5", "Deform over HTTP": "<= 5", "Deform + ApplyAdjoint": "<= 10"}

@@ -28,7 +28,7 @@ import numpy as np
 import pictures
 from tqdm import tqdm
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 E175 = ROOT / "examples" / "e175"
 
 MOLD_LINES = ("sharp", "smooth")
