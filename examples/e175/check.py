@@ -70,7 +70,10 @@ def measures(components):
         ("tail aspect ratio", 4.30, tail_ratio),
         ("tail arm, quarter chord to quarter chord", 14.0, tail_quarter - quarter),
     ]
-    return [dict(name=n, asked=a, got=np.asarray(g).tolist(), difference=float(np.abs(np.asarray(g) - a).max())) for n, a, g in rows]
+    return [
+        dict(name=n, asked=a, got=np.asarray(g).tolist(), difference=float(np.abs(np.asarray(g) - a).max()))
+        for n, a, g in rows
+    ]
 
 
 def _signed_distance(body: Patch, points):
@@ -98,7 +101,9 @@ def root_clearance(components):
     u = np.linspace(0, 1, 101)
     root = np.concatenate([patch.position(u, np.full_like(u, 0.5)) for patch in wing.patches[:2]])
     pivot = np.array([12.81775, 0.0, 0.25])
-    cases = [(dx, degrees, 1.0) for dx in (-5, 0, 5) for degrees in (-10, 10)] + [(dx, 0, f) for dx in (-5, 0, 5) for f in (0.7, 1.5)]
+    cases = [(dx, degrees, 1.0) for dx in (-5, 0, 5) for degrees in (-10, 10)] + [
+        (dx, 0, f) for dx in (-5, 0, 5) for f in (0.7, 1.5)
+    ]
     rows = []
     for dx, degrees, diameter in cases:
         angle = np.radians(degrees)  # positive: nose up
@@ -108,7 +113,14 @@ def root_clearance(components):
         centre = 0.5 * (net.min(1, keepdims=True) + net.max(1, keepdims=True))
         net[..., 1:] = (centre + diameter * (net - centre))[..., 1:]
         scaled = Patch("body", 3, 3, body.knots_u, body.knots_v, net)
-        rows.append(dict(translation=dx, rotation=degrees, diameter=diameter, depth=float(-_signed_distance(scaled, section).max())))
+        rows.append(
+            dict(
+                translation=dx,
+                rotation=degrees,
+                diameter=diameter,
+                depth=float(-_signed_distance(scaled, section).max()),
+            )
+        )
     return rows
 
 
@@ -127,7 +139,9 @@ def topology(mesh: Mesh):
     unique, uses = np.unique(np.sort(directed, axis=1), axis=0, return_counts=True)
     _, same_direction = np.unique(directed, axis=0, return_counts=True)
     corners = mesh.vertices[mesh.cells]
-    volume = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) + np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 2], corners[:, 3]))
+    volume = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) + np.einsum(
+        "ij,ij->i", corners[:, 0], np.cross(corners[:, 2], corners[:, 3])
+    )
     return dict(
         vertices=len(mesh.vertices),
         unused_vertices=int(len(mesh.vertices) - len(np.unique(mesh.cells))),
@@ -148,13 +162,22 @@ def symmetry(mesh: Mesh):
     image = np.array(mirrored)
     known = {tuple(sorted(cell)) for cell in mesh.cells.tolist()}
     missing = sum(tuple(sorted(cell)) not in known for cell in image[mesh.cells].tolist())
-    return dict(vertices_without_image=int((image < 0).sum()), cells_without_image=missing, vertices_on_plane=int((mesh.vertices[:, 1] == 0).sum()))
+    return dict(
+        vertices_without_image=int((image < 0).sum()),
+        cells_without_image=missing,
+        vertices_on_plane=int((mesh.vertices[:, 1] == 0).sum()),
+    )
 
 
 def distances(components, mesh: Mesh):
     """Closest-point distances of every vertex to each component that uses it; of seam vertices to both; cells whose
     Newell normal opposes their owner's."""
-    uses = np.stack([np.bincount(mesh.cells[mesh.owner == k].ravel(), minlength=len(mesh.vertices)) > 0 for k in range(len(components))])
+    uses = np.stack(
+        [
+            np.bincount(mesh.cells[mesh.owner == k].ravel(), minlength=len(mesh.vertices)) > 0
+            for k in range(len(components))
+        ]
+    )
     report, opposed, least_cosine = {}, 0, 1.0
     worst = np.zeros(len(mesh.vertices))
     for k, component in enumerate(components):
@@ -207,7 +230,9 @@ def gmsh_check(path: Path, components, mesh: Mesh):
         version = gmsh.option.getString("General.Version")
     finally:
         gmsh.finalize()
-    return dict(gmsh=version, same_bits=bool((read == mesh.vertices).all()), physical_groups=groups, union_volume=volume)
+    return dict(
+        gmsh=version, same_bits=bool((read == mesh.vertices).all()), physical_groups=groups, union_volume=volume
+    )
 
 
 def report(components, mesh: Mesh, path: Path):
@@ -228,10 +253,16 @@ def report(components, mesh: Mesh, path: Path):
     must = lambda condition, text: None if condition else failures.append(text)
     shape, mirror, total = result["topology"], result["symmetry"], result["quality"]["total"]
     must(shape["euler"] == 2, "Euler number is not 2")
-    must(not any(shape[k] for k in ("open_edges", "non_manifold_edges", "inconsistent_edges", "unused_vertices")), "not a closed oriented manifold")
+    must(
+        not any(shape[k] for k in ("open_edges", "non_manifold_edges", "inconsistent_edges", "unused_vertices")),
+        "not a closed oriented manifold",
+    )
     must(shape["volume"] > 0, "oriented inwards")
     must(not (mirror["vertices_without_image"] or mirror["cells_without_image"]), "not symmetric")
-    must(max(result["distances"]["largest_distance"].values()) <= 1e-12, "vertices off their component by more than 1e-12 m")
+    must(
+        max(result["distances"]["largest_distance"].values()) <= 1e-12,
+        "vertices off their component by more than 1e-12 m",
+    )
     must(result["distances"]["folded_cells"] == 0, "cells folded against their owner's normal")
     must(result["independent"]["same_bits"], "the mesh file does not hold the vertices' exact values")
     must(total["aspect_ratio"]["p95"] <= 1.45 and total["aspect_ratio"]["above_5"] == 0, "aspect ratios above the goal")

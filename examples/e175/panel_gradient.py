@@ -82,7 +82,9 @@ def main() -> int:
     parser.add_argument("--mach", type=float, default=0.7)
     parser.add_argument("--alpha", type=float, default=0.0, help="angle of attack, degrees")
     parser.add_argument("--checks", type=int, default=2, help="random directions to compare with differences")
-    parser.add_argument("--step", type=float, default=1e-4, help="of the differences, as a share of the variables' ranges")
+    parser.add_argument(
+        "--step", type=float, default=1e-4, help="of the differences, as a share of the variables' ranges"
+    )
     parser.add_argument("--output", type=Path, help="VTU file to write, with the pressure coefficients")
     arguments = parser.parse_args()
 

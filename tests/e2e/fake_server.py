@@ -75,7 +75,9 @@ class FakeServer(mesh_service_pb2_grpc.MeshServiceServicer):
         return wire.ListSetupsResponse(setups=[wire.SetupSummary(setup_id=f"set-up {page}")], next_page_token=following)
 
     def GetSession(self, request: Any, context: grpc.ServicerContext) -> Any:
-        return wire.GetSessionResponse(session=wire.Session(session_id=request.session_id, setup_id="fake", generation=7))
+        return wire.GetSessionResponse(
+            session=wire.Session(session_id=request.session_id, setup_id="fake", generation=7)
+        )
 
     def GetSetup(self, request: Any, context: grpc.ServicerContext) -> Any:
         variables = [wire.Variable(name=f"x{index}", unit="m") for index in range(VARIABLES)]

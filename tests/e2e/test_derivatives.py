@@ -69,7 +69,9 @@ def test_forward_and_reverse_agree(session: moldline.Session, count: int | None)
     count = variables if count is None else count
     at = session.deform(somewhere(session.setup))
     directions = np.random.default_rng(1).normal(size=(count, variables))
-    points = {c: np.random.default_rng(2).normal(size=(count, n, 3)) for c, n in session.setup.control_point_counts.items()}
+    points = {
+        c: np.random.default_rng(2).normal(size=(count, n, 3)) for c, n in session.setup.control_point_counts.items()
+    }
     of_vertices, of_functions = seeds(session, count)
     tangents = session.jvp(directions, control_points=points, at=at)
     gradients = session.vjp(vertices=of_vertices, functions=of_functions, at=at, control_points=points)
@@ -151,9 +153,10 @@ def test_given_control_points_take_the_designs_place(boom: moldline.Session) -> 
     volume = np.sum(gradient.control_points["boom"] * lift)
     assert math.isclose(volume, tangent.functions["enclosed_volume"], rel_tol=1e-10, abs_tol=1e-12)
     point = moldline.DesignPoint(control_points=given)
-    assert boom.vjp(functions={"enclosed_volume": 1.0}, at=point, control_points=["boom"]).control_points[
-        "boom"
-    ].tobytes() == gradient.control_points["boom"].tobytes()
+    assert (
+        boom.vjp(functions={"enclosed_volume": 1.0}, at=point, control_points=["boom"]).control_points["boom"].tobytes()
+        == gradient.control_points["boom"].tobytes()
+    )
 
 
 def test_seeds_by_name_are_those_by_number(boom: moldline.Session) -> None:
@@ -206,7 +209,9 @@ def test_a_linearisation_is_known_to_all_sessions_on_its_set_up(boom: moldline.S
     assert refused.value.violations[0].field == "at.linearisation_id"
 
 
-def array(values: Any, dtype: int = array_pb2.DATA_TYPE_FLOAT64, shape: tuple[int, ...] | None = None) -> array_pb2.Array:
+def array(
+    values: Any, dtype: int = array_pb2.DATA_TYPE_FLOAT64, shape: tuple[int, ...] | None = None
+) -> array_pb2.Array:
     values = np.asarray(values, dtype="<f8")
     return array_pb2.Array(dtype=dtype, shape=values.shape if shape is None else shape, data=values.tobytes())
 

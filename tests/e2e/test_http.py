@@ -138,10 +138,14 @@ def test_progress_arrives_while_it_is_made(http: requests.Session, url: str, tmp
     assert http.get(f"{url}/setups/{created['setup_id']}").json()["setup"]["name"] == "sphere and boom"
 
 
-def test_a_client_that_leaves_takes_its_work_with_it(server: Server, session: str, http: requests.Session, url: str) -> None:
+def test_a_client_that_leaves_takes_its_work_with_it(
+    server: Server, session: str, http: requests.Session, url: str
+) -> None:
     def leave(design: float) -> None:
         with pytest.raises(requests.exceptions.Timeout):
-            requests.post(f"{session}/jacobian", json={"at": {"design_point": {"design": [design, 0, 0]}}}, timeout=0.001)
+            requests.post(
+                f"{session}/jacobian", json={"at": {"design_point": {"design": [design, 0, 0]}}}, timeout=0.001
+            )
 
     leaving = [threading.Thread(target=leave, args=(0.001 * index,)) for index in range(20)]
     for thread in leaving:

@@ -53,7 +53,9 @@ def test_inputs_and_outputs_are_those_of_the_setup(session: moldline.Session) ->
         assert run.get_val(f"mesh.{name.replace('.', ':')}").item() == value
     # In other units too.
     assert np.isclose(run.get_val("mesh.wing:rotation", units="rad").item(), np.deg2rad(2.0))
-    assert np.isclose(run.get_val("mesh.enclosed_volume", units="ft**3").item(), expected.functions["enclosed_volume"] / 0.3048**3)
+    assert np.isclose(
+        run.get_val("mesh.enclosed_volume", units="ft**3").item(), expected.functions["enclosed_volume"] / 0.3048**3
+    )
 
 
 def test_products_pass_openmdaos_check(session: moldline.Session) -> None:
@@ -88,7 +90,9 @@ def test_products_by_control_points_pass_openmdaos_check(session: moldline.Sessi
         b={"val": 0.02},
     )
     run.model.add_subsystem("geometry", geometry)
-    component = DeformedMesh(session=session, control_points=["wing"], functions=["enclosed_volume", "wing.wetted_area"])
+    component = DeformedMesh(
+        session=session, control_points=["wing"], functions=["enclosed_volume", "wing.wetted_area"]
+    )
     run.model.add_subsystem("mesh", component)
     run.model.connect("geometry.points", "mesh.wing:control_points")
     run.setup(mode=mode)

@@ -54,7 +54,9 @@ def test_both_programs_have_the_same_derivatives_and_those_of_differences(asked:
     gradient, jacobian, _ = with_openmdao.derivatives(x)
     exact = np.vstack([gradient, jacobian])
     weights = np.array([plain.OBJECTIVE_WEIGHT, *np.ones(len(limits))])
-    np.testing.assert_allclose(by_hand.gradients(x), weights[:, None] * exact, rtol=1e-9, atol=1e-9 * np.abs(exact).max())
+    np.testing.assert_allclose(
+        by_hand.gradients(x), weights[:, None] * exact, rtol=1e-9, atol=1e-9 * np.abs(exact).max()
+    )
 
     step = 2e-3
     ends = [by_hand.values(x + shift * step * direction) / weights for shift in (-2, -1, 1, 2)]

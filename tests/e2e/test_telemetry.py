@@ -36,9 +36,7 @@ def collector() -> Iterator[tuple[str, queue.Queue[bytes]]]:
     server.stop(None)
 
 
-def test_traces_go_to_the_collector_below_the_callers(
-    binary: Path, collector: tuple[str, queue.Queue[bytes]]
-) -> None:
+def test_traces_go_to_the_collector_below_the_callers(binary: Path, collector: tuple[str, queue.Queue[bytes]]) -> None:
     address, received = collector
     trace = "0af7651916cd43dd8448eb211c80319c"
     with Server(binary, "--otlp", address) as server:

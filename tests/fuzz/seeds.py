@@ -1,6 +1,6 @@
 """Writes inputs to begin with, for each target a folder: small files of every kind that it reads, from the repository.
 
-    python tests/fuzz/seeds.py FOLDER
+python tests/fuzz/seeds.py FOLDER
 """
 
 from __future__ import annotations

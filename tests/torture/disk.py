@@ -231,7 +231,10 @@ def damaged(trial: Trial) -> list[Row]:
                 found = trial.verify(store)
                 if [name.as_posix() in line for line in found] != [True]:
                     undetected.append(f"{case}: verify says {found}")
-                with Server(trial.binary, "--log", "warn", store=store) as server, server.client(retry=IMPATIENT) as client:
+                with (
+                    Server(trial.binary, "--log", "warn", store=store) as server,
+                    server.client(retry=IMPATIENT) as client,
+                ):
                     answer = ask(client, session.id, design, expected)
                     # What was derived is derived again.
                     named = name.as_posix() in answer and "damaged" in answer

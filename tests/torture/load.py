@@ -67,7 +67,9 @@ def load(trial: Trial) -> list[Row]:
             alone.work(2 * ALONE, end=time.monotonic() + 600)
             expected = {kind: float(np.mean(of)) for kind, of in alone.seconds.items()}
             start = time.monotonic()
-            threads = [threading.Thread(target=user.work, args=(None, start + scale.seconds), daemon=True) for user in users]
+            threads = [
+                threading.Thread(target=user.work, args=(None, start + scale.seconds), daemon=True) for user in users
+            ]
             for thread in threads:
                 thread.start()
             with bar(f"{len(users)} sessions", scale.seconds, "s") as progress:

@@ -69,11 +69,14 @@ def replicas(trial: Trial) -> list[Row]:
     """Two servers on one object store: a session moves from one to the other again and again, and both write at once."""
     steps = trial.scale.steps
     if seaweed.program() is None:
-        return [Row("two servers: designs unlike those of one", None, f"of {steps}", "== 0", "SeaweedFS is not installed")]
+        return [
+            Row("two servers: designs unlike those of one", None, f"of {steps}", "== 0", "SeaweedFS is not installed")
+        ]
     with ExitStack() as stack:
         objects = stack.enter_context(seaweed.SeaweedFS(trial.folder / "objects"))
         servers = [
-            stack.enter_context(Server(trial.binary, store=objects.store, environment=objects.environment)) for _ in range(2)
+            stack.enter_context(Server(trial.binary, store=objects.store, environment=objects.environment))
+            for _ in range(2)
         ]
         clients = [stack.enter_context(server.client(retry=PATIENT)) for server in servers]
         setup = clients[0].create_setup(trial.scale.setup)
@@ -116,7 +119,9 @@ def outage(objects: seaweed.SeaweedFS, server: Server) -> list[Row]:
         kept = session.generation == generation
         session.update(label="stored")
         return [
-            Row("object store killed: updates not refused with a clear error", int(answer != ""), "of 1", "== 0", answer),
+            Row(
+                "object store killed: updates not refused with a clear error", int(answer != ""), "of 1", "== 0", answer
+            ),
             Row("object store killed: known sessions not served from memory", int(not served), "of 1", "== 0"),
             Row("object store back: sessions that lost or gained an update", int(not kept), "of 1", "== 0"),
         ]

@@ -104,7 +104,6 @@ class Trial:
 
         return sphere_and_boom.write(self.folder / "setups" / name, rings, change=rename)
 
-
     def verify(
         self,
         store: Path | str,
@@ -152,7 +151,9 @@ class Problem:
             target = session.deform(baseline + 0.04 * signs * width).vertices
             columns = session.jacobian().vertices.reshape(len(baseline), -1) * width[:, None]
         largest = np.linalg.eigvalsh(columns @ columns.T)[-1]
-        return cls(np.array(target), np.where(free, lower, baseline), np.where(free, upper, baseline), width**2 / largest)
+        return cls(
+            np.array(target), np.where(free, lower, baseline), np.where(free, upper, baseline), width**2 / largest
+        )
 
     def advance(self, session: moldline.Session) -> NDArray[np.float64]:
         """Stores the next design, and returns it."""

@@ -41,11 +41,15 @@ GIVEN = {
 CHOICES = {
     # weights
     "load_factor": Choice(3.75, "1", "1.5 times the 2.5 that FAR 25.337 asks for"),
-    "wing_control_fraction": Choice(0.10, "1", "control surfaces of the wing over its area, as SUAVE and OpenConcept have it"),
+    "wing_control_fraction": Choice(
+        0.10, "1", "control surfaces of the wing over its area, as SUAVE and OpenConcept have it"
+    ),
     "wing_root_thickness": Choice(0.135, "1", "the geometry's section at y = 0"),
     "elevator_fraction": Choice(0.25, "1", "of the tail's area, usual"),
     "door_factor": Choice(1.0, "1", "no freight door on the main deck"),
-    "landing_fraction": Choice(32_800 / 37_500, "1", "landing over take-off weight, type certificate of the ERJ 170-200 STD"),
+    "landing_fraction": Choice(
+        32_800 / 37_500, "1", "landing over take-off weight, type certificate of the ERJ 170-200 STD"
+    ),
     "landing_load_factor": Choice(4.5, "1", "1.5 times a gear load factor of 3, Raymer's for transports"),
     "main_gear_length": Choice(2.2, "m", "estimated from views; enters to the power 0.4"),
     "nose_gear_length": Choice(1.6, "m", "estimated from views; enters to the power 0.5"),
@@ -69,7 +73,9 @@ CHOICES = {
         "share of the dry engines that is weighed. The paper leaves propulsion out in part (Sec. V.C) and has nacelles among its components: "
         "its Table 3 and payload leave 27,030 lbf for the empty weight, which is what all regressions give without engines; 1 weighs them",
     ),
-    "systems_weighed": Choice(1.0, "1", "share of furnishings, seats, air conditioning, APU, anti-ice, instruments: all of them"),
+    "systems_weighed": Choice(
+        1.0, "1", "share of furnishings, seats, air conditioning, APU, anti-ice, instruments: all of them"
+    ),
     "cockpit_crew": Choice(2.0, "1", "E175"),
     "passengers": Choice(76.0, "1", "E175, single class at 31 in"),
     "apu_weight": Choice(260 * POUND_FORCE, "N", "uninstalled, of this class"),
@@ -82,7 +88,9 @@ CHOICES = {
         "areas of Table 3's baseline, beyond the bound; its 1.16 takes 11.7 m",
     ),
     "surface_position": Choice(0.40, "1", "wing, fuel in it and tails, of their mean chord; Raymer, Table 15.2"),
-    "cabin_share": Choice(0.72, "1", "of the payload in the cabin, the rest in the hold: 76 passengers with hand luggage, 95 kg each"),
+    "cabin_share": Choice(
+        0.72, "1", "of the payload in the cabin, the rest in the hold: 76 passengers with hand luggage, 95 kg each"
+    ),
     "nacelle_ahead": Choice(2.9, "m", "front of the nacelle ahead of the leading edge at the kink"),
     "nacelle_end_ahead": Choice(3.1, "m", "its end ahead of the trailing edge there"),
     # drag
@@ -92,7 +100,9 @@ CHOICES = {
     "wing_interference": Choice(1.0, "1", "well-filleted low wing, Raymer, Sec. 12.5.5"),
     "tail_interference": Choice(1.05, "1", "conventional tail, 4 to 5 %, Raymer, Sec. 12.5.5"),
     "nacelle_interference": Choice(1.3, "1", "closer than a diameter to the wing, Raymer, Sec. 12.5.5"),
-    "upsweep": Choice(np.arctan2(1.90 - 0.95, 31.68 - 21.6), "rad", "rise of the tail cone's centre line in the geometry"),
+    "upsweep": Choice(
+        np.arctan2(1.90 - 0.95, 31.68 - 21.6), "rad", "rise of the tail cone's centre line in the geometry"
+    ),
     "leakage": Choice(0.035, "1", "leakage and protuberances; Raymer, Sec. 12.5.7: 2 to 5 % for jet transports"),
     # parts without a mesh
     "fuselage_length": Choice(31.68, "m", "no variable changes it"),
@@ -121,7 +131,13 @@ _STATIONS = {"wing": ("root", "kink", "tip"), "htail": ("root", "tip")}
 GEOMETRY = (
     *("fuselage.volume", "fuselage.wetted_area", "wing.wetted_area", "htail.wetted_area"),
     *(f"{surface}.{name}" for surface in _STATIONS for name in ("planform_area", "span", "mean_aerodynamic_chord")),
-    *(f"{s}.{at}_{edge}.{axis}" for s, stations in _STATIONS.items() for at in stations for edge in _EDGES for axis in "xy"),
+    *(
+        f"{s}.{at}_{edge}.{axis}"
+        for s, stations in _STATIONS.items()
+        for at in stations
+        for edge in _EDGES
+        for axis in "xy"
+    ),
     *("fuselage.cabin.x", "fuselage.hold.x", "fuselage.nose_gear.x", "fuselage.main_gear.x"),
     *("fuselage.barrel_side.y", "fuselage.barrel_top.z", "fuselage.barrel_bottom.z", "fuselage.tail_side.y"),
 )
@@ -174,7 +190,10 @@ class _Surface(NamedTuple):
 def _surface(g: Mapping[str, Value], name: str, fractions: Iterable[float]) -> _Surface:
     """From the tracked points; `fractions`: of chord, of lines whose sweep is wanted."""
     at = [[g[f"{name}.{station}_{edge}.x"] for edge in _EDGES] for station in _STATIONS[name]]
-    y = [(g[f"{name}.{station}_leading_edge.y"] + g[f"{name}.{station}_trailing_edge.y"]) / 2 for station in _STATIONS[name]]
+    y = [
+        (g[f"{name}.{station}_leading_edge.y"] + g[f"{name}.{station}_trailing_edge.y"]) / 2
+        for station in _STATIONS[name]
+    ]
     # x of the quarter chord, weighted with the chord and integrated exactly over straight parts.
     moment, area = 0.0, 0.0
     for (a, b), y0, y1 in zip(zip(at, at[1:]), y, y[1:]):
@@ -233,9 +252,7 @@ def analyse(state: Mapping[str, Value], model: Mapping[str, Value] | None = None
         return raymer.friction_coefficient(air.density * speed * length / air.viscosity, m["mach"])
 
     def surface_factor(thickness: Value, sweep: Value) -> Value:
-        return raymer.surface_form_factor(
-            thickness=thickness, thickest=m["thickest"], mach=m["mach"], sweep=sweep
-        )
+        return raymer.surface_form_factor(thickness=thickness, thickest=m["thickest"], mach=m["mach"], sweep=sweep)
 
     drag_areas = {
         "fuselage": friction(m["fuselage_length"])
@@ -347,9 +364,7 @@ def analyse(state: Mapping[str, Value], model: Mapping[str, Value] | None = None
             + raymer.hydraulics_weight(
                 functions=m["control_functions"], length=m["fuselage_length"], wing_span=wing.span
             )
-            + raymer.electrical_weight(
-                rating=m["electrical_rating"], run=m["fuselage_length"], generators=m["engines"]
-            )
+            + raymer.electrical_weight(rating=m["electrical_rating"], run=m["fuselage_length"], generators=m["engines"])
             + raymer.avionics_weight(uninstalled=m["avionics_weight"]),
             "cabin systems": m["systems_weighed"]
             * (

@@ -132,7 +132,9 @@ def main() -> None:
             lambda z: problem.values(z)[0],
             start,
             jac=lambda z: problem.gradients(z)[0],
-            bounds=list(zip((problem.lower - problem.zero) / problem.reach, (problem.upper - problem.zero) / problem.reach)),
+            bounds=list(
+                zip((problem.lower - problem.zero) / problem.reach, (problem.upper - problem.zero) / problem.reach)
+            ),
             constraints=problem.constraints(),
             method="SLSQP",
             callback=tell,

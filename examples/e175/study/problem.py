@@ -1,8 +1,8 @@
 """The fuel-burn study as an OpenMDAO problem: mesh service, panel service, aircraft, and a driver that can be resumed.
 
-    session -> vertices, areas, points -+-------------------------> aircraft -> fuel, lift, moment, ...
-                    |                                                  |
-                    +-> panel service -> lift, drag, moment, slopes ---+
+session -> vertices, areas, points -+-------------------------> aircraft -> fuel, lift, moment, ...
+                |                                                  |
+                +-> panel service -> lift, drag, moment, slopes ---+
 """
 
 from __future__ import annotations

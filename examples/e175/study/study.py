@@ -165,9 +165,7 @@ def summary(iterate: slsqp.Iterate, names: list[str], variables: list[str]) -> d
         "constraints": dict(zip(names, iterate.constraints.tolist(), strict=True)),
         "multipliers": dict(zip(names, iterate.multipliers.tolist(), strict=True)),
         "seconds": notes["seconds"] + iterate.notes["derivatives"]["seconds"],
-        "service_seconds": {
-            of: iterate.notes[of].get("service_seconds", {}) for of in ("values", "derivatives")
-        },
+        "service_seconds": {of: iterate.notes[of].get("service_seconds", {}) for of in ("values", "derivatives")},
         "quality": notes["quality"],
         "results": notes["results"],
         "design": dict(zip(variables, notes["design"], strict=True)),
@@ -239,7 +237,12 @@ def goals(problems: Mapping[str, Any]) -> list[dict[str, Any]]:
         goal(f"{name}: wing loading", end["wing_loading"] / report.POUNDS_PER_SQUARE_FOOT, 99.5, 100.01, "lbf/ft^2")
         folded = max(i["quality"]["folded"] + i["quality"]["inverted"] for i in problem["iterates"])
         goal(f"{name}: folded or inverted cells of any iterate", folded, 0, 0)
-        goal(f"{name}: largest p95 of the aspect ratio", max(i["quality"]["aspect_ratio_p95"] for i in problem["iterates"]), 1.0, 2.2)
+        goal(
+            f"{name}: largest p95 of the aspect ratio",
+            max(i["quality"]["aspect_ratio_p95"] for i in problem["iterates"]),
+            1.0,
+            2.2,
+        )
         if name == "without":
             goal("baseline: fuel fraction", start["fuel_fraction"], 0.244 * 0.95, 0.244 * 1.05)
             goal("baseline: lift to drag", start["lift_to_drag"], 11.55 * 0.95, 11.55 * 1.05)
@@ -254,13 +257,17 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--binary", type=Path, required=True, help="the moldline program; it is started")
     parser.add_argument("--out", type=Path, default=HERE / "out", help="folder to write to")
-    parser.add_argument("--problems", nargs="+", choices=list(PROBLEMS), default=list(PROBLEMS), help="static margin or not")
+    parser.add_argument(
+        "--problems", nargs="+", choices=list(PROBLEMS), default=list(PROBLEMS), help="static margin or not"
+    )
     parser.add_argument("--iterations", type=int, default=40, help="at most so many")
     parser.add_argument("--coarse", action="store_true", help="on the mesh of 2,400 cells")
     parser.add_argument("--resume", action="store_true", help="take what the records in the folder have")
     parser.add_argument("--angle-of-attack", action="store_true", help="as a variable too")
     parser.add_argument("--check", action="store_true", help="compare all derivatives with differences (long)")
-    parser.add_argument("--variants", action="store_true", help="also with other choices of the model, on the coarse mesh")
+    parser.add_argument(
+        "--variants", action="store_true", help="also with other choices of the model, on the coarse mesh"
+    )
     parser.add_argument("--no-pictures", action="store_true", help="leave the pictures out")
     arguments = parser.parse_args()
     out: Path = arguments.out

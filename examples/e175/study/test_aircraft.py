@@ -105,7 +105,10 @@ def test_tail_volume_of_straight_tapered_surfaces(state: dict[str, float]) -> No
     tail = 26.0 + 0.25 * 3.534 + (1 + 2 * taper) / (1 + taper) / 3 * (29.7 + 0.25 * 1.116 - 26.0 - 0.25 * 3.534)
     # A wing without sweep of the quarter chord.
     for station, chord in (("root", 4.0), ("kink", 3.0), ("tip", 1.5)):
-        state |= {f"wing.{station}_leading_edge.x": 14.0 - 0.25 * chord, f"wing.{station}_trailing_edge.x": 14.0 + 0.75 * chord}
+        state |= {
+            f"wing.{station}_leading_edge.x": 14.0 - 0.25 * chord,
+            f"wing.{station}_trailing_edge.x": 14.0 + 0.75 * chord,
+        }
     result = analyse(state)
     assert result["tail_arm"] == pytest.approx(tail - 14.0, rel=1e-12)
     expected = 23.25 * (tail - 14.0) / (68.2 * 3.42)
@@ -125,13 +128,17 @@ def test_derivatives_are_those_of_differences(state: dict[str, float]) -> None:
     exact = derivatives(state, results)
     sizes = np.array([max(1e-2, abs(state[name])) for name in names])
     ends = [
-        analyse({name: state[name] + shift * 1e-4 * sizes * (np.arange(len(names)) == k) for k, name in enumerate(names)})
+        analyse(
+            {name: state[name] + shift * 1e-4 * sizes * (np.arange(len(names)) == k) for k, name in enumerate(names)}
+        )
         for shift in (-2, -1, 1, 2)
     ]
     for result in results:
         a, b, c, d = (np.broadcast_to(end[result], len(names)) for end in ends)
         differences = (a - 8 * b + 8 * c - d) / 12e-4
-        np.testing.assert_allclose(exact[result] * sizes, differences, rtol=1e-8, atol=1e-8 * abs(at[result]), err_msg=result)
+        np.testing.assert_allclose(
+            exact[result] * sizes, differences, rtol=1e-8, atol=1e-8 * abs(at[result]), err_msg=result
+        )
 
 
 def test_every_number_of_the_model_matters(state: dict[str, float]) -> None:

@@ -19,7 +19,9 @@ class TestSuavesBoeing737:
     gross = {"gross_weight": 79015.8 * GRAVITY, "load_factor": 3.75}
 
     def test_wing(self) -> None:
-        wing = dict(area=124.862, aspect_ratio=10.18, root_thickness=0.1, taper=0.1, sweep=25 * RAD, control_area=12.4862)
+        wing = dict(
+            area=124.862, aspect_ratio=10.18, root_thickness=0.1, taper=0.1, sweep=25 * RAD, control_area=12.4862
+        )
         assert raymer.wing_weight(**self.gross, **wing) / GRAVITY == pytest.approx(6268.223851650347, rel=1e-12)
 
     def test_fuselage(self) -> None:

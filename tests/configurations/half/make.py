@@ -72,7 +72,16 @@ def wing():
     for y, x, z, chord, twist, thickness in stations:
         angle = np.radians(twist)
         px, pz = (profile[:, 0] - 0.25) * chord, profile[:, 1] * thickness * chord
-        rows.append(np.stack([x + 0.25 * chord + px * np.cos(angle) + pz * np.sin(angle), np.full(len(px), y), z - px * np.sin(angle) + pz * np.cos(angle)], -1))
+        rows.append(
+            np.stack(
+                [
+                    x + 0.25 * chord + px * np.cos(angle) + pz * np.sin(angle),
+                    np.full(len(px), y),
+                    z - px * np.sin(angle) + pz * np.cos(angle),
+                ],
+                -1,
+            )
+        )
     # straight panels, raised to degree 2: station, middle, station, ...
     net = [rows[0]]
     for inner, outer in zip(rows, rows[1:]):
@@ -96,7 +105,12 @@ def wing():
 
 def size(x, y, z):
     """Finer along the wing's span and at the fuselage's ends."""
-    return min(0.13, 0.05 + 0.12 * x, 0.035 + 0.12 * abs(8.2 - x), max(0.04, 0.09 - 0.018 * max(0.0, y - 0.7)) + 0.5 * max(0.0, 0.6 - y))
+    return min(
+        0.13,
+        0.05 + 0.12 * x,
+        0.035 + 0.12 * abs(8.2 - x),
+        max(0.04, 0.09 - 0.018 * max(0.0, y - 0.7)) + 0.5 * max(0.0, 0.6 - y),
+    )
 
 
 def main():

@@ -94,7 +94,9 @@ class Driver:
                 else:
                     raise Stop
 
-        options = {name: a[name] for name in ("setup_file", "request_id", "visibility", "shared_with", "timeout") if name in a}
+        options = {
+            name: a[name] for name in ("setup_file", "request_id", "visibility", "shared_with", "timeout") if name in a
+        }
         setup = await settled(self._client.create_setup(a["path"], progress=tell, **options))
         return {**self._remember_setup(setup), "stages": stages}
 

@@ -21,7 +21,8 @@ REPEATS = 5
 def main() -> None:
     folder = Path(sys.argv[1])
     centres, points, data, values = (
-        np.fromfile(folder / f"{name}.f64", dtype="<f8").reshape(-1, 3) for name in ("centres", "points", "data", "values")
+        np.fromfile(folder / f"{name}.f64", dtype="<f8").reshape(-1, 3)
+        for name in ("centres", "points", "data", "values")
     )
     interpolant = RBFInterpolator(centres, data, kernel="cubic", degree=1)
     seconds = []

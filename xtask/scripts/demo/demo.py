@@ -92,7 +92,9 @@ def table_2_designs(setup: moldline.Setup) -> dict[str, np.ndarray]:
 class Server:
     """`moldline serve`, or another service of the program's, on a free port of the loopback interface."""
 
-    def __init__(self, binary: Path, log: Path, *options: str, command: tuple[str, ...] = ("serve", "--store", "memory")) -> None:
+    def __init__(
+        self, binary: Path, log: Path, *options: str, command: tuple[str, ...] = ("serve", "--store", "memory")
+    ) -> None:
         self._log = log.open("w")
         arguments = [str(binary), *command, "--listen", "127.0.0.1:0", *options]
         self._process = subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=self._log, text=True)
@@ -326,7 +328,9 @@ def main() -> None:
     (out / "report.json").write_text(json.dumps(report, indent=1) + "\n")
 
     for mold_line in MOLD_LINES:
-        print(f"\n{mold_line} outer mold line: aspect ratio (Verdict), edges (longest/shortest), scaled Jacobian\n{HEADINGS}")
+        print(
+            f"\n{mold_line} outer mold line: aspect ratio (Verdict), edges (longest/shortest), scaled Jacobian\n{HEADINGS}"
+        )
         for name, row in report["cases"][mold_line].items():
             print(line(name, row))
         print(line("worst of cases, paths", report["worst"][f"motions-{mold_line}"]))
@@ -341,7 +345,9 @@ def main() -> None:
         pictures.overview(out, ["baseline", *CORNERS, "d150", "d070"])
 
     missed = [goal for goal in report["goals"] if not goal["reached"]]
-    print(f"\n{len(report['goals']) - len(missed)} of {len(report['goals'])} goals reached; numbers in {out / 'report.json'}")
+    print(
+        f"\n{len(report['goals']) - len(missed)} of {len(report['goals'])} goals reached; numbers in {out / 'report.json'}"
+    )
     for goal in missed:
         print(f"  missed: {goal['name']} = {goal['value']} {goal['unit']}, goal {goal['goal']}")
 

@@ -1,6 +1,6 @@
 """Draws the fillet of the smooth outer mold line against rho (Fig. 5 of the paper), on a mesh of about 100,000 cells.
 
-    cargo xtask figures
+cargo xtask figures
 """
 
 from __future__ import annotations
@@ -44,7 +44,9 @@ def main() -> None:
                 setup = client.create_setup(folder, progress=BARS)
                 with setup.session() as session:
                     result = session.deform()
-                print(f"fillet {fillet:g} m: rho {setup.report['rho']:.1f} 1/m, {setup.cell_count} cells\n{result.quality}")
+                print(
+                    f"fillet {fillet:g} m: rho {setup.report['rho']:.1f} 1/m, {setup.cell_count} cells\n{result.quality}"
+                )
                 # One owner, so that shading runs on over the seam as the surface does.
                 colours = np.broadcast_to(COLOUR, (setup.cell_count, 3))
                 cells = np.asarray(setup.mesh.cells)

@@ -73,8 +73,12 @@ def aircraft(mesh: moldline.Mesh, vertices: NDArray[np.float64], size: tuple[int
     return mesh_image(mesh, vertices, PALETTE[mesh.cell_owner % len(PALETTE)], view, size)
 
 
-def mesh_image(mesh: moldline.Mesh, vertices: NDArray, colours: NDArray, view: View, size: tuple[int, int], **lines: Any) -> Image.Image:
-    return render(np.asarray(vertices), np.asarray(mesh.cells), np.asarray(mesh.cell_owner), colours, view, size, **lines)
+def mesh_image(
+    mesh: moldline.Mesh, vertices: NDArray, colours: NDArray, view: View, size: tuple[int, int], **lines: Any
+) -> Image.Image:
+    return render(
+        np.asarray(vertices), np.asarray(mesh.cells), np.asarray(mesh.cell_owner), colours, view, size, **lines
+    )
 
 
 def overview(folder: Path, names: list[str]) -> None:

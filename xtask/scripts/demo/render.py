@@ -1,6 +1,6 @@
 """Draws surface meshes: orthographic, shaded, with their lines, in numpy alone (no OpenGL, no display).
 
-    image = render(vertices, cells, owner, colours, View(centre, towards, height), size=(1600, 1000))
+image = render(vertices, cells, owner, colours, View(centre, towards, height), size=(1600, 1000))
 """
 
 from __future__ import annotations
@@ -140,9 +140,7 @@ def _corner_normals(vertices: NDArray, cells: NDArray, owner: NDArray) -> NDArra
     unit = flat / (np.linalg.norm(flat, axis=1, keepdims=True) + 1e-300)
     key = safe.astype(np.int64) + len(vertices) * owner.astype(np.int64)[:, None]
     names, inverse = np.unique(key.ravel(), return_inverse=True)
-    total = np.stack(
-        [np.bincount(inverse, np.repeat(flat[:, axis], 4), len(names)) for axis in range(3)], axis=1
-    )
+    total = np.stack([np.bincount(inverse, np.repeat(flat[:, axis], 4), len(names)) for axis in range(3)], axis=1)
     total /= np.linalg.norm(total, axis=1, keepdims=True) + 1e-300
     smooth, own = total[inverse], np.repeat(unit, 4, axis=0)
     agree = np.einsum("kx,kx->k", smooth, own) > CREASE

@@ -34,7 +34,11 @@ def globe(n: int) -> tuple[Array, Cells]:
     """The unit sphere by longitude and latitude, 3 `n` around and 2 `n` from pole to pole, which are at z = -1 and 1."""
     theta, phi = np.pi * np.arange(1, 2 * n) / (2 * n), 2 * np.pi * np.arange(3 * n) / (3 * n)
     rings = np.stack(
-        [np.outer(np.sin(theta), np.cos(phi)), np.outer(np.sin(theta), np.sin(phi)), np.outer(np.cos(theta), np.ones(3 * n))],
+        [
+            np.outer(np.sin(theta), np.cos(phi)),
+            np.outer(np.sin(theta), np.sin(phi)),
+            np.outer(np.cos(theta), np.ones(3 * n)),
+        ],
         axis=-1,
     )
     vertices = np.concatenate([rings.reshape(-1, 3), [[0, 0, 1], [0, 0, -1]]])

@@ -137,7 +137,11 @@ class Validation:
         row = self.tables["rectangular wing"][1]
         self.row("rectangular wing, 60 x 40: C_L", row["C_L"], least=0.99 * 0.4315, most=1.01 * 0.4315, peer=0.4315)
         self.row(
-            "rectangular wing, 60 x 40: span efficiency", row["span efficiency"], least=0.94, most=1.0, peer=lifting_line(8.0)
+            "rectangular wing, 60 x 40: span efficiency",
+            row["span efficiency"],
+            least=0.94,
+            most=1.0,
+            peer=lifting_line(8.0),
         )
         drag = 0.00738
         self.row("rectangular wing, 60 x 40: C_Di", row["C_Di"], least=0.98 * drag, most=1.02 * drag, peer=drag)
@@ -207,7 +211,12 @@ class Validation:
             self.row(f"{name}: adjoint of {count} over the solution", ratio, most=1.0 if count == 1 else 2.0)
         pairs = configuration.unknowns**2
         assembly = stages["factorisation"] - stages["influence"]
-        self.row(f"{name}: matrix and right-hand sides, by pairs with both kernels and both images", 1e9 * assembly / pairs, "ns", most=40.0)
+        self.row(
+            f"{name}: matrix and right-hand sides, by pairs with both kernels and both images",
+            1e9 * assembly / pairs,
+            "ns",
+            most=40.0,
+        )
         self.row(f"{name}: the whole solution, by pairs", 1e9 * solution / pairs, "ns")
         self.curves["E175"] = (mesh, at)
 
@@ -268,7 +277,11 @@ def draw(found: Validation, folder: Path) -> None:
     ideal = found.tables["elliptic wing"][-1]["C_L"] * np.sqrt(1 - fine**2)
     load.plot(fine, ideal, color="grey", label="ellipse of the same lift")
     load.plot(eta[order], loads[order], ".", label="sections")
-    load.set(xlabel="share of the half span", ylabel="section lift coefficient times chord, m", title="Elliptic wing, 5 degrees")
+    load.set(
+        xlabel="share of the half span",
+        ylabel="section lift coefficient times chord, m",
+        title="Elliptic wing, 5 degrees",
+    )
     load.legend(fontsize=8)
     figure.savefig(folder / "panel-closed-forms.png", dpi=110)
     plt.close(figure)
@@ -280,9 +293,7 @@ def draw(found: Validation, folder: Path) -> None:
     centre = tuple((mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2)
     above = View(centre, (-0.6, -0.9, 1.1), 21.0)
     below = View(centre, (-0.6, -0.9, -1.1), 21.0)
-    images = [
-        render(mesh.vertices, mesh.cells, owner, colours, view, (1200, 860), line=0.0) for view in (above, below)
-    ]
+    images = [render(mesh.vertices, mesh.cells, owner, colours, view, (1200, 860), line=0.0) for view in (above, below)]
     colour_bar(images[0], low, high, "C_p, Mach 0.7, 2 degrees")
     beside(images, 2).save(folder / "panel-e175.png")
 
@@ -346,7 +357,9 @@ def main() -> int:
         (arguments.docs / "validation.md").write_text(page(found))
         draw(found, arguments.docs / "images")
     missed = [row.name for row in found.rows if row.reached is False]
-    print(f"\n{sum(row.reached is True for row in found.rows)} goals reached, {len(missed)} missed: {'; '.join(missed)}")
+    print(
+        f"\n{sum(row.reached is True for row in found.rows)} goals reached, {len(missed)} missed: {'; '.join(missed)}"
+    )
     print(f"written to {out}")
     return 0
 

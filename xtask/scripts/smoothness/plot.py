@@ -1,6 +1,6 @@
 """Plots the sweeps of `cargo run --release -p moldline-check --example smoothness`: how vertices move, and their derivatives.
 
-    python xtask/scripts/smoothness/plot.py [out/smoothness/smoothness.json] [docs/images/smoothness.png]
+python xtask/scripts/smoothness/plot.py [out/smoothness/smoothness.json] [docs/images/smoothness.png]
 """
 
 import json

@@ -243,7 +243,10 @@ class PanelComponent(om.ExplicitComponent):  # type: ignore[misc]
     def _analyze(self, inputs: Any) -> Analysis:
         configuration: Configuration = self.options["configuration"]
         return configuration.analyze(
-            inputs["vertices"], reference=self.options["reference"], mach=inputs["mach"].item(), alpha=inputs["alpha"].item()
+            inputs["vertices"],
+            reference=self.options["reference"],
+            mach=inputs["mach"].item(),
+            alpha=inputs["alpha"].item(),
         )
 
     def _at(self, inputs: Any) -> Analysis:

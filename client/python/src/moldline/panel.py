@@ -452,7 +452,9 @@ class Configuration:
 
 def parts(mesh: Mesh) -> dict[str, NDArray[np.uint32]]:
     """The cells of each component of a mesh, by name: cell groups of a configuration."""
-    owned = {name: np.flatnonzero(mesh.cell_owner == index).astype(np.uint32) for index, name in enumerate(mesh.components)}
+    owned = {
+        name: np.flatnonzero(mesh.cell_owner == index).astype(np.uint32) for index, name in enumerate(mesh.components)
+    }
     return {name: cells for name, cells in owned.items() if len(cells)}
 
 
@@ -462,7 +464,9 @@ def _create(request: wire.CreateConfigurationRequest) -> Operation[wire.Configur
 
 
 def _get(configuration_id: str) -> Operation[wire.Configuration]:
-    response: wire.GetConfigurationResponse = yield Call("GetConfiguration", wire.GetConfigurationRequest(configuration_id=configuration_id))
+    response: wire.GetConfigurationResponse = yield Call(
+        "GetConfiguration", wire.GetConfigurationRequest(configuration_id=configuration_id)
+    )
     return response.configuration
 
 
