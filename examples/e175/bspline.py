@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -178,7 +179,7 @@ class Patch:
         samples = []
         for knots, degree in ((self.knots_u, self.degree_u), (self.knots_v, self.degree_v)):
             breaks = np.unique(knots[degree : len(knots) - degree])
-            samples.append(np.unique(np.concatenate([np.linspace(a, b, 7) for a, b in zip(breaks, breaks[1:])])))
+            samples.append(np.unique(np.concatenate([np.linspace(a, b, 7) for a, b in pairwise(breaks)])))
         us, vs = samples
         for end, inner in ((0, 1), (-1, -2)):
             if np.ptp(self.position(np.full(len(vs), us[end]), vs), axis=0).max() < POLE_TOLERANCE:

@@ -12,7 +12,6 @@ from bspline import Component, Patch
 from cad import occ_surface
 from mesh import Mesh
 
-
 # --- geometry ---------------------------------------------------------------------------------------------------------
 
 
@@ -192,7 +191,7 @@ def distances(components, mesh: Mesh):
         surface = np.zeros_like(normal)
         for p, patch in enumerate(component.patches):
             mine = foot.patch == p
-            u0, u1, v0, v1 = patch.domain
+            u0, u1, _, _ = patch.domain
             surface[mine] = patch.jet(np.clip(foot.u[mine], u0 + 1e-6, u1 - 1e-6), foot.v[mine]).unit_normal()
         cosine = (normal * surface).sum(1) / np.linalg.norm(normal, axis=1)
         opposed += int((cosine <= 0).sum())

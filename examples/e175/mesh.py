@@ -14,6 +14,7 @@ rounding.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from scipy.sparse import coo_matrix
@@ -223,7 +224,7 @@ class LiftingSurface:
             inner = half.add_vertices(self.cap.position(np.full(len(v), self.u[k]), v)) if len(v) else []
             lines.append(np.concatenate([low[k : k + 1], inner, high[k : k + 1]]).astype(int))
         lines.append(low[-1:])
-        cells = np.array([cell for a, b in zip(lines, lines[1:]) for cell in _strip(a, b)])
+        cells = np.array([cell for a, b in pairwise(lines) for cell in _strip(a, b)])
         outward = quality.area_normal(half.vertices, cells)[:, 1].sum() > 0
         half.add_cells(cells if outward else _reversed(cells), owner)
 
@@ -337,7 +338,7 @@ class FuselageGrid:
             blocks.append((b, self._block(quarter, size, outward_x)))
 
         # layout in the plane: harmonic between the ends, the layers and the meridians
-        for column, (b, (block_u, block_theta)) in zip((0, self.columns), blocks):
+        for column, (_, (block_u, _)) in zip((0, self.columns), blocks):
             rim = np.full(n.around + 1, self._xi(block_u[0, 0]))
             plane.update(zip(ids[column], np.c_[rim, np.linspace(0, np.pi, n.around + 1)]))
         xi, theta = self._harmonic(ids, plane, first, count)

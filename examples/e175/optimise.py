@@ -62,7 +62,7 @@ def optimise(patch, u, v, cells, target, fixed, on_meridian, rounds, steps=25, l
         size = np.abs((quality.area_normal(x, cells) * normal[cells[:, 0]]).sum(1))
         floor = 0.02 * size
 
-        def objective(moves):
+        def objective(moves, x=x, first=first, second=second, normal=normal, floor=floor):
             a, b = moves.reshape(2, -1, 1)
             value, gradient = _energy(x + a * first + b * second, normal, cells, target, floor)
             return value, np.concatenate([(gradient * first).sum(1), (gradient * second).sum(1)])

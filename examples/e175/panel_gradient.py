@@ -1,11 +1,12 @@
-"""Chains the two services: lift and induced drag of the E175, and their gradients by all design variables from two adjoint calls.
+"""Chains the two services: lift and induced drag of the E175, and their gradients with respect to all design variables from
+two adjoint calls.
 
     moldline serve --listen 127.0.0.1:50051 &
     moldline panel serve --listen 127.0.0.1:50052 &
     python panel_gradient.py                 # a minute; --checks 0 leaves the comparison out
 
     design --Deform--> vertices --Analyze--> coefficients
-    design <--adjoint of the mesh-- gradient by vertices <--adjoint of the panel method-- weights of coefficients
+    design <--adjoint of the mesh-- gradient at the vertices <--adjoint of the panel method-- weights of coefficients
 
 The gradients are compared with central differences through both services, along random directions of the design variables.
 """

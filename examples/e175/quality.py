@@ -20,7 +20,8 @@ def area_normal(vertices, cells):
 
 
 def aspect_ratio(vertices, cells):
-    """Verdict's aspect ratio, as VTK computes it: longest edge times perimeter over 4 (quad) or 4 sqrt(3) (triangle) areas."""
+    """Verdict's aspect ratio, as VTK computes it: longest edge times perimeter over 4 times the area (quadrilateral)
+    or 4 sqrt(3) times (triangle)."""
     e = edges(vertices, cells)
     length = np.linalg.norm(e, axis=2)
     triangle = is_triangle(cells)

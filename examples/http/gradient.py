@@ -2,7 +2,8 @@
 
     python gradient.py http://127.0.0.1:50051 examples/e175 setup-motions.toml
 
-The objective is half the sum of squares of all displacements; its derivative by the vertices are the displacements themselves.
+The objective is half the sum of squares of all displacements; its derivative with respect to the
+vertices is the displacements themselves.
 """
 
 from __future__ import annotations

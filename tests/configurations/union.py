@@ -1,4 +1,5 @@
-"""Meshes the union of closed B-spline components with gmsh's OpenCASCADE kernel, and puts every vertex exactly on its surfaces.
+"""Meshes the union of closed B-spline components with gmsh's OpenCASCADE kernel, and moves every vertex exactly onto its
+surfaces.
 
 The configurations beside this file use it; the B-splines are those of examples/e175. gmsh's vertices lie within its CAD
 tolerance of the surfaces; afterwards each is moved onto all patches that meet in it, so that seam vertices lie on both
@@ -15,10 +16,10 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples" / "e175"))
 
-import quality  # noqa: E402
-from bspline import POLE_TOLERANCE, Component, Patch  # noqa: E402
-from cad import occ_surface  # noqa: E402
-from mesh import Mesh  # noqa: E402
+import quality
+from bspline import POLE_TOLERANCE, Component, Patch
+from cad import occ_surface
+from mesh import Mesh
 
 FAR = 1e3  # m, larger than any configuration
 CAD_TOLERANCE = 1e-5  # m, how far gmsh's vertices may be off the surfaces

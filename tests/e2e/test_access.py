@@ -12,6 +12,7 @@ import moldline
 import pytest
 import requests
 from moldline.v1 import mesh_service_pb2, mesh_service_pb2_grpc
+
 from server import Server
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import moldline
 import numpy as np
 import pytest
+
 import sphere_and_boom
 from server import Server
 

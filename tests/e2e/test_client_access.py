@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
 from clients import LANGUAGES, Client, Refused
 from server import Server
 

@@ -12,6 +12,7 @@ import grpc
 import numpy as np
 import pytest
 import trustme
+
 from clients import LANGUAGES, Client, Refused
 from fake_server import JACOBIAN, FakeServer, refusal
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import moldline
 import numpy as np
 import pytest
+
 from clients import ROOT
 from server import Server
 

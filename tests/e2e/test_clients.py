@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 import sphere_and_boom
 from clients import LANGUAGES, Client, Refused, bits
 from server import Server

@@ -10,6 +10,7 @@ import meshio
 import moldline
 import numpy as np
 import pytest
+
 from server import Server
 
 MOVED = {"boom.translation": 0.3}

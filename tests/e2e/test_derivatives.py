@@ -13,6 +13,7 @@ import pytest
 from moldline.errors import translated
 from moldline.v1 import array_pb2
 from moldline.v1 import mesh_service_pb2 as wire
+
 from server import Server
 
 ROOT = Path(__file__).parents[2]

@@ -15,6 +15,7 @@ import moldline
 import numpy as np
 import pytest
 import requests
+
 from server import Server
 
 NPY = {"Accept": "application/x-npy"}

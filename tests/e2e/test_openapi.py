@@ -7,6 +7,7 @@ import schemathesis
 from hypothesis import HealthCheck, Phase, settings
 from schemathesis import Case
 from schemathesis.specs.openapi.checks import positive_data_acceptance
+
 from server import Server
 
 BINARY = ["x-npy", "x-npz", "x-tar", "gzip", "zip", "toml"]

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import requests
 from moldline.panel import AnalysisPoint, Configuration, Edges, Groups, Reference
+
 from server import Server
 
 ROOT = Path(__file__).parents[2]
@@ -24,7 +25,8 @@ PANELS = ("panel", "serve")
 
 
 def wing(around: int = 16, stations: int = 6) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The starboard half of a rectangular NACA 0012 wing of aspect ratio 8 with a flat tip: vertices, cells, trailing edge."""
+    """The starboard half of a rectangular NACA 0012 wing of aspect ratio 8 with a flat tip: vertices, cells and
+    trailing edge."""
     theta = 2 * np.pi * np.arange(around) / around
     x = 0.5 * (1 + np.cos(theta))
     t = 0.6 * (0.2969 * np.sqrt(x) - 0.126 * x - 0.3516 * x**2 + 0.2843 * x**3 - 0.1036 * x**4)

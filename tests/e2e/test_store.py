@@ -11,10 +11,11 @@ from pathlib import Path
 import grpc
 import numpy as np
 import pytest
-import seaweed
 from moldline import arrays
 from moldline.v1 import mesh_service_pb2 as wire
 from moldline.v1 import mesh_service_pb2_grpc
+
+import seaweed
 from server import Server
 
 Stub = mesh_service_pb2_grpc.MeshServiceStub

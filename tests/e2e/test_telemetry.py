@@ -11,6 +11,7 @@ from pathlib import Path
 import grpc
 import pytest
 import requests
+
 from server import Server
 
 EXPORT = "/opentelemetry.proto.collector.trace.v1.TraceService/Export"

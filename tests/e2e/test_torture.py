@@ -9,8 +9,8 @@ import pytest
 
 sys.path.append(str(Path(__file__).parents[1] / "torture"))
 
-import torture  # noqa: E402
-import trial  # noqa: E402
+import torture
+import trial
 
 
 @pytest.mark.parametrize("name", torture.TRIALS)

@@ -10,6 +10,7 @@ from pathlib import Path
 import moldline
 import numpy as np
 from numpy.typing import NDArray
+
 from server import Server
 from trial import IMPATIENT, Row, Trial, bar, refused
 
@@ -18,7 +19,7 @@ SIZE = 64
 
 
 class SmallDisk:
-    """A disk of a server's own, in namespaces of its own: nothing is mounted for anybody else, and nobody needs to be root."""
+    """A disk of the server's own, in namespaces of its own: nothing is mounted for others, and root is not needed."""
 
     def __init__(self, folder: Path) -> None:
         folder.mkdir()

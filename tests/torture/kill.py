@@ -8,6 +8,7 @@ import time
 
 import moldline
 import numpy as np
+
 from server import Server
 from trial import PATIENT, Problem, Row, Trial, bar, different
 

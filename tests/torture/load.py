@@ -9,6 +9,7 @@ from pathlib import Path
 
 import moldline
 import numpy as np
+
 from server import Server
 from trial import IMPATIENT, Row, Trial, bar
 
@@ -95,7 +96,8 @@ def load(trial: Trial) -> list[Row]:
     held = caches.linearisation_cache
     rows = [
         Row(f"{len(users)} sessions, Deform and ApplyAdjoint", took, "s", "", f"{len(everything)} answers"),
-        Row("errors other than RESOURCE_EXHAUSTED", len(errors) + stuck, "errors", "== 0", "; ".join(sorted(set(errors))[:3])),
+        Row("errors other than RESOURCE_EXHAUSTED", len(errors) + stuck, "errors", "== 0",
+            "; ".join(sorted(set(errors))[:3])),
         Row("refused with RESOURCE_EXHAUSTED", sum(user.refused for user in users), "requests"),
         Row("sessions without any answer", by_user.count(0), "sessions", "== 0"),
         Row("p99 over fair share", float(np.quantile(everything, 0.99)) / fair, "1", "<= 3", f"a fair share is {fair:.2f} s",

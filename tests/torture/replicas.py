@@ -11,10 +11,11 @@ from pathlib import Path
 import grpc
 import moldline
 import numpy as np
-import seaweed
 from moldline import arrays
 from moldline.v1 import mesh_service_pb2 as wire
 from moldline.v1 import mesh_service_pb2_grpc
+
+import seaweed
 from server import Server
 from trial import IMPATIENT, PATIENT, Problem, Row, Trial, bar, different, refused
 
@@ -52,7 +53,8 @@ def restart(trial: Trial) -> list[Row]:
     name = f"from the start of the process to the first Deform, {setup.cell_count} cells"
     return [
         Row(name, 1e3 * float(np.median(seconds)), "ms", "<= 300",
-            f"median of {len(seconds)}, slowest {1e3 * max(seconds):.0f}; the first build took {1e3 * build:.0f}", timed=True),
+            f"median of {len(seconds)}, slowest {1e3 * max(seconds):.0f}; the first build took {1e3 * build:.0f}",
+            timed=True),
         Row("of which the server's processor time", 1e3 * float(np.median(processor)), "ms"),
         Row("restarts that factorised again, by the log", built, f"of {len(seconds)}", "== 0"),
         Row("restarts that gave other bits", wrong, f"of {len(seconds)}", "== 0"),

@@ -12,9 +12,10 @@ from typing import Any
 
 import moldline
 import numpy as np
-import sphere_and_boom
 from numpy.typing import NDArray
 from tqdm import tqdm
+
+import sphere_and_boom
 
 E175 = Path(__file__).resolve().parents[2] / "examples" / "e175"
 

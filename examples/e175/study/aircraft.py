@@ -10,11 +10,13 @@ SI throughout: metres, newtons, seconds, radians. x aft, z up; moments positive 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-import raymer
 from numpy.typing import NDArray
+
+import raymer
 from raymer import FOOT, GRAVITY, KNOT, POUND_FORCE, Value
 
 NAUTICAL_MILE = 1852.0  #: m, exact
@@ -70,8 +72,9 @@ CHOICES = {
     "engines_weighed": Choice(
         0.0,
         "1",
-        "share of the dry engines that is weighed. The paper leaves propulsion out in part (Sec. V.C) and has nacelles among its components: "
-        "its Table 3 and payload leave 27,030 lbf for the empty weight, which is what all regressions give without engines; 1 weighs them",
+        "share of the dry engines that is weighed. The paper leaves propulsion out in part (Sec. V.C) and has nacelles "
+        "among its components: its Table 3 and payload leave 27,030 lbf for the empty weight, which is what all regressions give "
+        "without engines; 1 weighs them",
     ),
     "systems_weighed": Choice(
         1.0, "1", "share of furnishings, seats, air conditioning, APU, anti-ice, instruments: all of them"
@@ -84,8 +87,8 @@ CHOICES = {
     "tail_arm_offset": Choice(
         2.3,
         "m",
-        "subtracted from the distance of the quarter chords in Eq. (20) alone: that distance, 14.0 m, gives C_VT = 1.39 for the "
-        "areas of Table 3's baseline, beyond the bound; its 1.16 takes 11.7 m",
+        "subtracted from the distance of the quarter chords in Eq. (20) alone: that distance, 14.0 m, gives C_VT = 1.39 "
+        "for the areas of Table 3's baseline, beyond the bound; its 1.16 takes 11.7 m",
     ),
     "surface_position": Choice(0.40, "1", "wing, fuel in it and tails, of their mean chord; Raymer, Table 15.2"),
     "cabin_share": Choice(
@@ -196,7 +199,7 @@ def _surface(g: Mapping[str, Value], name: str, fractions: Iterable[float]) -> _
     ]
     # x of the quarter chord, weighted with the chord and integrated exactly over straight parts.
     moment, area = 0.0, 0.0
-    for (a, b), y0, y1 in zip(zip(at, at[1:]), y, y[1:]):
+    for (a, b), y0, y1 in zip(pairwise(at), y, y[1:]):
         c, d = a[1] - a[0], b[1] - b[0]
         p, q = a[0] + c / 4, b[0] + d / 4
         moment = moment + (y1 - y0) * (p * (2 * c + d) + q * (c + 2 * d)) / 6

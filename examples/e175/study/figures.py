@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 sys.path.append(str(Path(__file__).resolve().parents[3] / "xtask/scripts/demo"))
 
-from render import NO_VERTEX, View, beside, render, text  # noqa: E402  # the demo's renderer
+from render import NO_VERTEX, View, beside, render, text  # the demo's renderer
 
 Array = NDArray[np.float64]
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+
 from aircraft import MODEL, REFERENCE_CHORD
 from raymer import FOOT, POUND_FORCE
 

@@ -15,12 +15,13 @@ from typing import Any
 
 import moldline
 import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
 from aircraft import AERODYNAMICS, GEOMETRY, INPUTS, analyse, derivatives
 from formulation import FUEL, OBJECTIVE, OBJECTIVE_WEIGHT, PROBLEMS, Limit
-from numpy.typing import NDArray
 from problem import Aerodynamics
 from raymer import POUND_FORCE
-from scipy.optimize import minimize
 from services import services
 
 HERE = Path(__file__).resolve().parent

@@ -9,16 +9,18 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
 from typing import Any, Protocol
 
-import aircraft
 import numpy as np
 import openmdao.api as om
-import slsqp
-from formulation import FUEL, OBJECTIVE, OBJECTIVE_WEIGHT, Limit
 from moldline import Session
 from moldline.openmdao import DeformedMesh, om_name
 from numpy.typing import NDArray
+
+import aircraft
+import slsqp
+from formulation import FUEL, OBJECTIVE, OBJECTIVE_WEIGHT, Limit
 
 Array = NDArray[np.float64]
 
@@ -260,7 +262,7 @@ class Study:
         names = [limit.result for limit in self.limits]
         rows = [names.index(name) for name in TRIM]
         starts = np.cumsum([0, *(len(zero) for _, _, zero, _ in self._variables.values())])
-        entries = dict(zip(self._variables, zip(starts, starts[1:]), strict=False))
+        entries = dict(zip(self._variables, pairwise(starts), strict=False))
         columns = [slice(*entries[name]) for name in (self._trimmed_by, "htail:rotation")]
         matrix = np.array([[iterate.jacobian[row, at].sum() for at in columns] for row in rows])
         multipliers = np.zeros(len(names))

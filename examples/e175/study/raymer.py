@@ -156,8 +156,8 @@ def fuel_system_weight(*, volume: Value, tanks: Value) -> Value:
 
 
 def flight_controls_weight(*, gross_weight: Value, functions: Value, control_area: Value, arm: Value) -> Value:
-    """Powered flight controls, N (15.35). `functions`: how many the controls have, 4 to 7; `control_area`: of all of them. The
-    moment of inertia in pitch is that of the radius of gyration in :func:`horizontal_tail_weight`."""
+    """Powered flight controls, N (15.35). `functions`: their number, 4 to 7; `control_area`: the sum over all
+    controls. The moment of inertia in pitch follows from the radius of gyration in :func:`horizontal_tail_weight`."""
     inertia = gross_weight / POUND_FORCE * (0.3 * arm / FOOT) ** 2
     return 145.9 * functions**0.554 * (control_area / FOOT**2) ** 0.2 * (inertia * 1e-6) ** 0.07 * POUND_FORCE
 
@@ -178,7 +178,7 @@ def hydraulics_weight(*, functions: Value, length: Value, wing_span: Value) -> V
 
 
 def electrical_weight(*, rating: Value, run: Value, generators: Value) -> Value:
-    """Electrical system, N (15.39). `rating` in kVA, 40 to 60 for transports; `run`: from generators to avionics to cockpit."""
+    """Electrical system, N (15.39). `rating`: kVA, 40 to 60 for transports; `run`: generators to avionics to cockpit, m."""
     return 7.291 * rating**0.782 * (run / FOOT) ** 0.346 * generators**0.1 * POUND_FORCE
 
 
@@ -217,7 +217,8 @@ def friction_coefficient(reynolds: Value, mach: Value) -> Value:
 
 
 def surface_form_factor(*, thickness: Value, thickest: Value, mach: Value, sweep: Value) -> Value:
-    """Of wings and tails (12.30). `thickness`: of chord, greatest at the fraction `thickest` of it, where `sweep` is taken."""
+    """Form factor of wings and tails (12.30). `thickness`: relative to the chord; `thickest`: the fraction of the chord at
+    which it is greatest and `sweep` is measured."""
     section = 1 + 0.6 / thickest * thickness + 100 * thickness**4
     return section * 1.34 * mach**0.18 * np.cos(sweep) ** 0.28
 

@@ -12,11 +12,12 @@ import aircraft
 import figures
 from figures import TITLES, Shape
 from formulation import POUNDS_PER_SQUARE_FOOT
-from raymer import FOOT, POUND_FORCE
+from raymer import FOOT
 
 __all__ = ["FOOT", "POUNDS_PER_SQUARE_FOOT", "Shape", "text", "write"]
 
-#: Table 3 of the paper: gross and fuel weight, N; A_W; S_W, ft^2; A_T; S_T, ft^2; travel, ft; loading, lbf/ft^2; C_VT; margin, %.
+#: Table 3 of the paper: gross and fuel weight, N; A_W; S_W, ft^2; A_T; S_T, ft^2; travel, ft; loading, lbf/ft^2; C_VT;
+#: static margin, %.
 TABLE_3 = {
     "baseline": (288_800, 70_400, 8.3, 740, 4.3, 250, 0.0, 90, 1.16, -0.3),
     "without": (293_000, 57_600, 10.5, 658, 3.7, 188, -1.0, 100, 1.18, -23.0),
@@ -155,8 +156,8 @@ def _choices(result: Mapping[str, Any]) -> str:
             (name.replace("_", " "), f"{choice.value:.4g}", choice.unit, choice.why, *(f"{c:+.3f}" for c in changes))
         )
     note = (
-        "<p>The last columns: relative change of the fuel for a relative change of the number (for a change by one where it is zero), "
-        "of the baseline kept in trim and of the optima.</p>"
+        "<p>The last columns: relative change of the fuel for a relative change of the number (for a change by one where "
+        "it is zero), of the baseline kept in trim and of the optima.</p>"
     )
     return note + _html_table(rows, text_columns={3})
 

@@ -8,11 +8,12 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-import aircraft
 import moldline
 import moldline.panel
 import numpy as np
 from numpy.typing import NDArray
+
+import aircraft
 
 HERE = Path(__file__).resolve().parent
 E175 = HERE.parent

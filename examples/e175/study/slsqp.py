@@ -157,8 +157,8 @@ def stationarity(
     """How far the conditions of Karush, Kuhn and Tucker are from being met at best, and the constraints' multipliers.
 
     The multipliers are the least-squares ones among those of the right sign; only limits and bounds that are nearly reached
-    have one. Returned is the largest entry of the Lagrangian's gradient, or of the products of multipliers and what is left to
-    the limits, whichever is more.
+    have one. Returns the largest entry of the Lagrangian's gradient or of the products of multipliers and
+    slacks, whichever is more.
     """
     columns, low, high, slack = [], [], [], []
     rows = [*jacobian, *np.eye(len(x))]

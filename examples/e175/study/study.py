@@ -18,13 +18,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import aircraft
 import moldline
 import numpy as np
+from numpy.typing import NDArray
+
+import aircraft
 import report
 import slsqp
 from formulation import FUEL, OBJECTIVE, PROBLEMS
-from numpy.typing import NDArray
 from problem import Aerodynamics, Study
 from raymer import POUND_FORCE
 from services import services
@@ -129,8 +130,8 @@ def check_derivatives(study: Study, x: Array, step: float = 1e-3) -> dict[str, f
 def sensitivities(study: Study, iterates: list[slsqp.Iterate]) -> list[dict[str, Any]]:
     """How fuel depends on what the model chooses: relative change for a relative change of each number.
 
-    Of the trimmed baseline, and of the optimum, where lift, moment and the constraints that are active are kept: the derivative of the
-    optimum is that of the Lagrangian. Numbers that are zero are changed by one.
+    Of the trimmed baseline, and of the optimum, where lift, moment and the active constraints are kept: the derivative of
+    the optimum is that of the Lagrangian. Numbers that are zero are changed by one.
     """
     responses = [OBJECTIVE, *(limit.result for limit in study.limits)]
     rows = []

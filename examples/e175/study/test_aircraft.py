@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import aircraft
 import numpy as np
 import pytest
+
+import aircraft
 from aircraft import MODEL, REFERENCE_AREA, REFERENCE_CHORD, REFERENCE_POINT, analyse, derivatives
 from raymer import FOOT, POUND_FORCE
 
@@ -27,8 +28,8 @@ def state() -> dict[str, float]:
         "fuselage.cabin.x": 15.8, "fuselage.hold.x": 15.0, "fuselage.nose_gear.x": 3.9, "fuselage.main_gear.x": 16.25,
         "fuselage.barrel_side.y": 1.505, "fuselage.barrel_top.z": 2.625, "fuselage.barrel_bottom.z": -0.725,
         "fuselage.tail_side.y": 0.9,
-        "flow.lift": 0.33, "flow.induced_drag": 0.0045, "flow.pressure_lift": 0.332, "flow.pressure_drag": 0.006, "flow.moment": -0.08,
-        "flow.neutral_point": 15.0, "angle_of_attack": 0.03,
+        "flow.lift": 0.33, "flow.induced_drag": 0.0045, "flow.pressure_lift": 0.332, "flow.pressure_drag": 0.006,
+        "flow.moment": -0.08, "flow.neutral_point": 15.0, "angle_of_attack": 0.03,
     }  # fmt: skip
     for surface, at in stations.items():
         for name, (leading, trailing, y) in at.items():
@@ -48,7 +49,7 @@ def test_flight_condition() -> None:
 
 
 def test_table_3_is_in_newtons() -> None:
-    """Its loadings, in pounds of force per square foot as it says, are those of its areas only if its weights are newtons."""
+    """Its loadings, in pounds of force per square foot, agree with its areas only if its weights are in newtons."""
     for gross, _, area, loading in TABLE_3:
         assert gross / POUND_FORCE / area == pytest.approx(loading, rel=0.03)
     # And its payload, 22,050 lbf, is then a third of the aircraft.

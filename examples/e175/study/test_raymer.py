@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+from typing import ClassVar
 
 import numpy as np
 import pytest
+
 import raymer
 from raymer import FOOT, GRAVITY, INCH, KNOT, POUND, POUND_FORCE
 
@@ -14,9 +16,10 @@ RAD = math.pi / 180
 
 class TestSuavesBoeing737:
     """Weights of SUAVE's Boeing 737-800 by its method "Raymer", kg, as its regression test keeps them
-    (github.com/suavecode/SUAVE, regression/scripts/weights/weights_Raymer.res; vehicle: regression/scripts/Vehicles/Boeing_737.py)."""
+    (github.com/suavecode/SUAVE, regression/scripts/weights/weights_Raymer.res; vehicle:
+    regression/scripts/Vehicles/Boeing_737.py)."""
 
-    gross = {"gross_weight": 79015.8 * GRAVITY, "load_factor": 3.75}
+    gross: ClassVar = {"gross_weight": 79015.8 * GRAVITY, "load_factor": 3.75}
 
     def test_wing(self) -> None:
         wing = dict(

@@ -12,6 +12,7 @@ The components are whole; the mesh is the starboard half of their union.
 
 import json
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -84,7 +85,7 @@ def wing():
         )
     # straight panels, raised to degree 2: station, middle, station, ...
     net = [rows[0]]
-    for inner, outer in zip(rows, rows[1:]):
+    for inner, outer in pairwise(rows):
         net += [0.5 * (inner + outer), outer]
     net = np.stack(net, axis=1)
     net[0] = net[-1] = 0.5 * (net[0] + net[-1])

@@ -244,7 +244,7 @@ class Driver:
 
     async def jacobian(self, a: Fields) -> Fields:
         fractions: list[float] = []
-        tell = lambda progress: fractions.append(progress.fraction)  # noqa: E731
+        tell = lambda progress: fractions.append(progress.fraction)
         result = await settled(self._sessions[a["session"]].jacobian(at=self._at(a), progress=tell))
         return {
             "vertices": array(result.vertices),

@@ -25,8 +25,9 @@ from typing import Any
 
 import moldline
 import numpy as np
-import pictures
 from tqdm import tqdm
+
+import pictures
 
 ROOT = Path(__file__).resolve().parents[3]
 E175 = ROOT / "examples" / "e175"

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from render import NO_VERTEX, View, ramp, render
 
 FRONT = View(centre=(0, 0, 0), towards=(0, -1, 0), height=4.0)

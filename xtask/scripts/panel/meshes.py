@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
 from render import NO_VERTEX
 
 Array = NDArray[np.float64]

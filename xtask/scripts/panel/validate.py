@@ -22,11 +22,10 @@ import moldline
 import moldline.panel
 import numpy as np
 from moldline.panel import Analysis, Configuration, Reference
-from numpy.typing import NDArray
 from scipy.integrate import quad
 
 matplotlib.use("Agg")
-import matplotlib.pyplot as plt  # noqa: E402
+import matplotlib.pyplot as plt
 
 HERE = Path(__file__).resolve().parent
 sys.path.append(str(HERE.parent / "demo"))
@@ -303,7 +302,8 @@ def page(found: Validation) -> str:
     lines = [
         "# Validation of the panel method",
         "",
-        "Made by `cargo xtask validate-panel`, on 2 cores, through `moldline panel serve` and its Python client. Goals and what others publish are beside.",
+        "Written by `cargo xtask validate-panel`: measured on 2 cores, through `moldline panel serve` and its Python "
+        "client, beside the goals and published values.",
         "",
         "| what | found | unit | goal | others | reached |",
         "|---|---|---|---|---|---|",

@@ -1,4 +1,4 @@
-"""Plots the sweeps of `cargo run --release -p moldline-check --example smoothness`: how vertices move, and their derivatives.
+"""Plots the sweeps of `cargo run --release -p moldline-check --example smoothness`: motion of vertices and its derivative.
 
 python xtask/scripts/smoothness/plot.py [out/smoothness/smoothness.json] [docs/images/smoothness.png]
 """

@@ -33,7 +33,6 @@ from moldline.mesh import Mesh
 from moldline.model import (
     At,
     Deformation,
-    DesignPoint,
     Gradients,
     Jacobian,
     SessionState,
