@@ -60,7 +60,9 @@ pub fn bench(large: bool, large_folder: Option<PathBuf>) -> Outcome {
     }
     rows.append(&mut json_lines(&mut engine)?);
     let binary = build_moldline(true)?;
-    rows.append(&mut json_lines(python.script("xtask/scripts/bench/round_trip.py").arg("--binary").arg(binary))?);
+    rows.append(&mut json_lines(
+        python.script("xtask/scripts/bench/round_trip.py").arg("--binary").arg(binary),
+    )?);
 
     let mut missed = 0;
     println!("\n{:<84} {:>12} {:<9} goal", "what", "value", "unit");

@@ -3,17 +3,15 @@
 use std::{
     fs,
     io::{BufRead, BufReader},
-    path::PathBuf,
     process::{Command, Stdio},
 };
 
 use crate::{
-    process::{Outcome, cargo, command, root, run},
+    process::{Outcome, command, root, run},
     python::Python,
+    tools,
 };
 
-/// The version of cargo-fuzz that is installed.
-const CARGO_FUZZ: &str = "0.13.2";
 /// Longest input, bytes.
 const LONGEST: usize = 64 << 10;
 /// Largest piece of memory that may be asked for, and all that the process may have, MiB: the targets' limits are 1 MiB of
@@ -34,7 +32,7 @@ struct Progress {
 
 /// Runs the targets one after the other for so many seconds each. The corpus in `tests/fuzz/corpus` goes on from run to run.
 pub fn fuzz(seconds: u64, only: &[String]) -> Outcome {
-    let tool = installed()?;
+    let tool = tools::FUZZ.ready()?;
     let cargo_fuzz = |verb: &str| {
         let mut command = command(&tool);
         // The sanitizer is an option of the compiler that only nightly ones take unasked.
@@ -79,18 +77,6 @@ pub fn fuzz(seconds: u64, only: &[String]) -> Outcome {
             Err(format!("{findings} targets have findings; the messages above say how to see them again"))
         }
     }
-}
-
-/// Where cargo-fuzz is, installed now if it was not.
-fn installed() -> Outcome<PathBuf> {
-    let folder = root().join("target/tools");
-    let tool = folder.join("bin").join(if cfg!(windows) { "cargo-fuzz.exe" } else { "cargo-fuzz" });
-    if !tool.is_file() {
-        let mut install = cargo();
-        install.args(["install", "cargo-fuzz", "--version", CARGO_FUZZ, "--locked", "--root"]).arg(&folder);
-        run(&format!("cargo-fuzz {CARGO_FUZZ}"), &mut install)?;
-    }
-    Ok(tool)
 }
 
 /// Runs a target to its end, and shows what it says.

@@ -9,8 +9,10 @@ mod check;
 mod clients;
 mod demo;
 mod fuzz;
+mod links;
 mod process;
 mod python;
+mod tools;
 
 use std::{path::PathBuf, process::ExitCode};
 
@@ -46,9 +48,13 @@ enum Command {
     },
     /// The panel method where the flow is known; numbers and pictures go to out/panel, the page to docs/validation.md
     ValidatePanel,
-    /// Everything: lints, all Rust tests, all Python tests
-    Test,
-    /// Formatting, clippy and Python types
+    /// What a change must pass: lints, all Rust tests, all Python tests
+    Test {
+        /// Also what takes long: lints of dependencies, demo, torture and a minute of each fuzz target (about an hour)
+        #[arg(long)]
+        all: bool,
+    },
+    /// Formatting, clippy, rustdoc, licences and uses of dependencies, Python lints and types, spelling, links of documents
     Lint,
     /// Build the Rust and C++ clients with their examples and test drivers; installs gRPC for C++ where it can
     Clients,
@@ -87,7 +93,7 @@ fn main() -> ExitCode {
         Command::Figures { large } => demo::figures(large),
         Command::Study { arguments } => demo::study(&arguments),
         Command::ValidatePanel => demo::validate_panel(),
-        Command::Test => check::test(),
+        Command::Test { all } => check::test(all),
         Command::Lint => check::lint(),
         Command::Clients => clients::Clients::built().map(drop),
         Command::Bench { large, large_folder } => bench::bench(large, large_folder),

@@ -23,19 +23,20 @@ const MESHING: &str = "examples/e175/requirements.txt";
 /// A virtual environment with the client and all requirements.
 #[derive(Debug)]
 pub struct Python {
-    program: PathBuf,
+    interpreter: PathBuf,
 }
 
 impl Python {
     /// The environment, made or brought up to date if what it is made from has changed.
     pub fn ready() -> Outcome<Self> {
         let folder = root().join("target/venv");
-        let python =
-            Self { program: folder.join(if cfg!(windows) { "Scripts/python.exe" } else { "bin/python" }) };
+        let python = Self {
+            interpreter: folder.join(if cfg!(windows) { "Scripts/python.exe" } else { "bin/python" }),
+        };
         let stamp = folder.join("made-from");
         let (interpreter, version) = interpreter()?;
         let wanted = ingredients(&version)?;
-        if python.program.exists() && fs::read_to_string(&stamp).is_ok_and(|made| made == wanted) {
+        if python.interpreter.exists() && fs::read_to_string(&stamp).is_ok_and(|made| made == wanted) {
             return Ok(python);
         }
         // Made anew: an environment half upgraded is worse than a minute lost.
@@ -62,14 +63,19 @@ impl Python {
 
     /// A script with this environment's Python.
     pub fn script(&self, path: &str) -> Command {
-        let mut command = command(&self.program);
+        let mut command = command(&self.interpreter);
         command.arg(path);
         command
     }
 
+    /// Path of a program that a package brings.
+    pub fn program(&self, name: &str) -> PathBuf {
+        self.interpreter.with_file_name(format!("{name}{}", env::consts::EXE_SUFFIX))
+    }
+
     /// A module with this environment's Python.
     pub fn module(&self, name: &str) -> Command {
-        let mut command = command(&self.program);
+        let mut command = command(&self.interpreter);
         command.args(["-m", name]);
         command
     }
