@@ -1,4 +1,4 @@
-"""Drives the Python clients as the end-to-end tests ask: see README.md. `driver.py aio` drives the one for asyncio."""
+"""Test driver of the Python client, see README.md; `driver.py aio` drives the asynchronous one."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def access(given: moldline.SetupAccess) -> Fields:
 
 
 def of_functions(values: dict[str, Any]) -> Fields:
-    """In the order of the set-up's, as the last axis."""
+    """Values of the functions, in the order of the set-up, along the last axis."""
     return array(np.stack(list(values.values()), axis=-1))
 
 
@@ -290,7 +290,7 @@ async def main() -> None:
             answer = {"error": failed(error)}
         except (Stop, asyncio.CancelledError):
             answer = {"error": {"code": "CANCELLED", "message": "cancelled by the driver", "violations": []}}
-        except Exception as error:  # A fault of the driver or of the arguments: the test shows it.
+        except Exception as error:  # A fault of the driver or of its arguments: the test reports it.
             answer = {"error": {"code": "CLIENT", "message": repr(error), "violations": []}}
         print(json.dumps(answer), flush=True)
 

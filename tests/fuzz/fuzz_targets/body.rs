@@ -1,4 +1,4 @@
-//! The body of an HTTP request, of a kind that the first byte chooses: arrays fill their shapes, and the limit holds.
+//! The body of an HTTP request; the first byte chooses the kind. Arrays fill their shapes, and the limit holds.
 #![no_main]
 
 use bytes::Bytes;
