@@ -1,6 +1,6 @@
 """Validation of the panel method on known flows: closed forms, published results, refinement, consistency, time.
 
-    python validate.py --binary ../../target/release/moldline --out ../../out/panel --docs ../../docs
+    cargo xtask validate-panel
 
 Writes validation.json and pictures to `--out`, and the page validation.md with its pictures to `--docs` if given.
 """
