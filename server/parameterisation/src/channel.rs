@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use nalgebra::convert;
 
-use crate::Scalar;
+use crate::scalar::Scalar;
 
 /// Variables that are added: the effect is `(value - baseline) * si`.
 #[derive(Clone, Debug)]

@@ -2,7 +2,7 @@
 
 use moldline_spline::KnotError;
 
-use crate::{Dimension, Unit};
+use crate::unit::{Dimension, Unit};
 
 /// Why a parameterisation cannot be built.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]

@@ -23,17 +23,18 @@
 //!
 //! Absent on purpose: files, serialisation, surfaces' derivatives, weights as variables (they never change).
 
+mod axis;
 mod channel;
 mod compile;
-mod declaration;
 mod error;
-mod freeform;
+mod operation;
+mod operations;
 mod parameterisation;
-mod planform;
-mod radial;
-mod rotation;
+mod pivot;
+mod reference;
+mod scalar;
 mod sections;
-mod translation;
+mod table;
 mod unit;
 mod variables;
 
@@ -42,12 +43,13 @@ mod testing;
 #[cfg(test)]
 mod tests;
 
-pub use declaration::{
-    Axis, CentreLine, ComponentReference, FreeFormDeclaration, OperationDeclaration, PatchReference, Pivot,
-    PlanformDeclaration, RadialScaleDeclaration, RotationDeclaration, SectionDeclaration, SectionKind,
-    SweepRule, TranslationDeclaration, VariableDeclaration,
-};
+pub use axis::Axis;
 pub use error::{DesignError, ParameterisationError};
-pub use parameterisation::{ControlPoints, Lattice, Linearisation, Override, Parameterisation, Scalar};
+pub use operation::Lattice;
+pub use operations::*;
+pub use parameterisation::{ControlPoints, Linearisation, Override, Parameterisation};
+pub use pivot::Pivot;
+pub use reference::{ComponentReference, PatchReference};
+pub use scalar::Scalar;
 pub use unit::{Dimension, Unit};
-pub use variables::{Group, Variable};
+pub use variables::{Group, Variable, VariableDeclaration};

@@ -3,49 +3,21 @@
 use std::collections::HashMap;
 use std::ops::Range;
 
-use moldline_spline::Vector3;
-use nalgebra::{RealField, convert};
+use moldline_foundation::Vector3;
+use nalgebra::convert;
 
-use crate::compile::{Compiled, compile};
-use crate::declaration::{ComponentReference, OperationDeclaration, VariableDeclaration};
-use crate::freeform::FreeForm;
-use crate::planform::Planform;
-use crate::radial::RadialScale;
-use crate::rotation::Rotation;
-use crate::translation::Translation;
-use crate::variables::{DesignSpace, Group, Variable};
-use crate::{DesignError, ParameterisationError};
+use crate::compile::Compiler;
+use crate::error::{DesignError, ParameterisationError};
+use crate::operation::{Declaration, Lattice, Operation};
+use crate::operations::{AnyOperation, OperationDeclaration};
+use crate::reference::ComponentReference;
+use crate::scalar::Scalar;
+use crate::variables::{DesignSpace, Group, Variable, VariableDeclaration};
 
 /// Cartesian control points, m: per component, in the order of its reference.
 pub type ControlPoints = Vec<Vec<[f64; 3]>>;
 
-/// What the map can be evaluated in: `f64`, and numbers that carry derivatives along with a value of that precision.
-pub trait Scalar: RealField + Copy {}
-
-impl<T: RealField + Copy> Scalar for T {}
-
-/// Adds, so that a vanishing step keeps the bits (-0.0 included).
-pub(crate) fn shift<T: Scalar>(point: &mut nalgebra::Vector3<T>, step: nalgebra::Vector3<T>) {
-    for axis in 0..3 {
-        let (at, by) = (point[axis], step[axis]);
-        // A number that carries derivatives compares by its value, but has something to add all the same: -0.0 is kept by
-        // the order of signs, not by leaving the sum out.
-        let keeps_sign = by == T::zero() && at.is_sign_negative();
-        point[axis] = if keeps_sign { -(-at - by) } else { at + by };
-    }
-}
-
-/// A compiled operation.
-#[derive(Clone, Debug)]
-pub(crate) enum Operation {
-    FreeForm(Box<FreeForm>),
-    Planform(Planform),
-    Rotation(Rotation),
-    Translation(Translation),
-    RadialScale(RadialScale),
-}
-
-/// Design variables and what they do to the control points of every component. Immutable.
+/// The map from design variables to the control points of every component. Immutable.
 #[derive(Clone, Debug)]
 pub struct Parameterisation {
     variables: Vec<Variable>,
@@ -58,7 +30,7 @@ pub struct Parameterisation {
     ranges: Vec<Range<usize>>,
     /// Reference control points of all components, then points carried along (pivots, centre lines).
     reference: Vec<Vector3>,
-    operations: Vec<Operation>,
+    operations: Vec<AnyOperation>,
 }
 
 /// Control points of one component given directly, in place of what the design makes of it.
@@ -68,15 +40,6 @@ pub struct Override {
     pub component: usize,
     /// As many Cartesian control points as the component has, m.
     pub control_points: Vec<[f64; 3]>,
-}
-
-/// The control lattice of a free-form block, for pictures.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Lattice {
-    /// Points along chord, span and thickness.
-    pub shape: [usize; 3],
-    /// The points, m; index `(i n_span + k) n_thickness + j`.
-    pub points: Vec<[f64; 3]>,
 }
 
 /// The map at one design, ready for products with its Jacobian (3 control-point coordinates x variables).
@@ -98,9 +61,25 @@ impl Parameterisation {
         variables: &[VariableDeclaration],
         operations: &[OperationDeclaration],
     ) -> Result<Self, ParameterisationError> {
-        let Compiled { design_space, ranges, points, operations } =
-            compile(components, variables, operations)?;
-        let DesignSpace { variables, groups, positive } = design_space;
+        let mut compiler = Compiler::new(components, variables)?;
+        let mut sites = Vec::with_capacity(operations.len());
+        for (i, operation) in operations.iter().enumerate() {
+            let mut site = compiler.site(i, operation.components())?;
+            if let Some(pivot) = operation.pivot(&site, &compiler)? {
+                compiler.place_pivot(&mut site, pivot);
+            }
+            sites.push(site);
+        }
+        for (site, operation) in sites.iter_mut().zip(operations) {
+            site.centres = operation.centres(site, &mut compiler)?;
+        }
+        let operations = sites
+            .iter()
+            .zip(operations)
+            .map(|(site, operation)| operation.compile(site, &mut compiler))
+            .collect::<Result<_, _>>()?;
+        let Compiler { ranges, points: reference, variables, .. } = compiler;
+        let DesignSpace { variables, groups, positive } = variables.finish()?;
         let names = variables.iter().enumerate().map(|(i, v)| (v.name.clone(), i)).collect();
         Ok(Self {
             variables,
@@ -109,7 +88,7 @@ impl Parameterisation {
             names,
             component_names: components.iter().map(|c| c.name.clone()).collect(),
             ranges,
-            reference: points,
+            reference,
             operations,
         })
     }
@@ -264,18 +243,7 @@ impl Parameterisation {
     /// As [`Self::control_points`].
     pub fn lattices(&self, design: &[f64]) -> Result<Vec<Lattice>, DesignError> {
         self.check(design)?;
-        Ok(self
-            .operations
-            .iter()
-            .filter_map(|operation| match operation {
-                Operation::FreeForm(block) => Some(block),
-                _ => None,
-            })
-            .map(|block| {
-                let points = block.reference_lattice().into_iter().zip(block.lattice_displacement(design));
-                Lattice { shape: block.shape(), points: points.map(|(p, step)| (p + step).into()).collect() }
-            })
-            .collect())
+        Ok(self.operations.iter().filter_map(|operation| operation.lattice(design)).collect())
     }
 
     /// As [`Self::control_points`] in numbers of another kind, such as dual numbers: the same operations in the same order,
@@ -353,40 +321,6 @@ fn expect_length(what: impl FnOnce() -> String, found: usize, expected: usize) -
     if found == expected { Ok(()) } else { Err(DesignError::VectorLength { what: what(), expected, found }) }
 }
 
-impl Operation {
-    fn eval<T: Scalar>(&self, design: &[T], points: &mut [nalgebra::Vector3<T>]) {
-        match self {
-            Self::FreeForm(o) => o.eval(design, points),
-            Self::Planform(o) => o.eval(design, points),
-            Self::Rotation(o) => o.eval(design, points),
-            Self::Translation(o) => o.eval(design, points),
-            Self::RadialScale(o) => o.eval(design, points),
-        }
-    }
-
-    /// `points` before the operation; `tangents` from before it to after it.
-    fn jvp(&self, design: &[f64], points: &[Vector3], direction: &[f64], tangents: &mut [Vector3]) {
-        match self {
-            Self::FreeForm(o) => o.jvp(design, direction, tangents),
-            Self::Planform(o) => o.jvp(design, points, direction, tangents),
-            Self::Rotation(o) => o.jvp(design, points, direction, tangents),
-            Self::Translation(o) => o.jvp(direction, tangents),
-            Self::RadialScale(o) => o.jvp(design, points, direction, tangents),
-        }
-    }
-
-    /// `points` before the operation; `seeds` from after it to before it; adds to `gradient`.
-    fn vjp(&self, design: &[f64], points: &[Vector3], seeds: &mut [Vector3], gradient: &mut [f64]) {
-        match self {
-            Self::FreeForm(o) => o.vjp(design, seeds, gradient),
-            Self::Planform(o) => o.vjp(design, points, seeds, gradient),
-            Self::Rotation(o) => o.vjp(design, points, seeds, gradient),
-            Self::Translation(o) => o.vjp(seeds, gradient),
-            Self::RadialScale(o) => o.vjp(design, points, seeds, gradient),
-        }
-    }
-}
-
 /// The name with the smallest edit distance, if it is close enough to be a slip of the pen.
 fn nearest<'n>(name: &str, names: impl Iterator<Item = &'n str>) -> Option<String> {
     const LONGEST: usize = 100;
@@ -395,22 +329,8 @@ fn nearest<'n>(name: &str, names: impl Iterator<Item = &'n str>) -> Option<Strin
     }
     names
         .filter(|candidate| candidate.len() <= LONGEST)
-        .map(|candidate| (edit_distance(name.as_bytes(), candidate.as_bytes()), candidate))
+        .map(|candidate| (strsim::levenshtein(name, candidate), candidate))
         .min()
         .filter(|(distance, _)| *distance <= 3)
         .map(|(_, candidate)| candidate.into())
-}
-
-fn edit_distance(a: &[u8], b: &[u8]) -> usize {
-    let mut row: Vec<usize> = (0..=b.len()).collect();
-    for (i, x) in a.iter().enumerate() {
-        let mut diagonal = row[0];
-        row[0] = i + 1;
-        for (j, y) in b.iter().enumerate() {
-            let replaced = diagonal + usize::from(x != y);
-            diagonal = row[j + 1];
-            row[j + 1] = replaced.min(row[j] + 1).min(diagonal + 1);
-        }
-    }
-    row[b.len()]
 }

@@ -2,9 +2,9 @@
 
 use std::{cell::OnceCell, ops::Range};
 
-use moldline_spline::Vector3;
+use moldline_foundation::Vector3;
 
-use crate::{Axis, ComponentReference};
+use crate::{axis::Axes, reference::ComponentReference};
 
 /// Samples kept per component at most, so that a huge control net does not become a huge sampling.
 const SAMPLE_LIMIT: usize = 100_000;
@@ -15,25 +15,6 @@ const SLABS: usize = 256;
 const SLAB_ENTRIES: usize = 4_000_000;
 /// Sections of the midpoint rule for the planform area.
 const AREA_SECTIONS: usize = 256;
-
-/// The axes of a lifting surface: span, chord (aft) and thickness (up), as indices of coordinates.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Axes {
-    pub(crate) span: usize,
-    pub(crate) chord: usize,
-    pub(crate) thickness: usize,
-}
-
-impl Axes {
-    /// Chord along x (y when the span is x), thickness along what remains.
-    pub(crate) fn of_span(span: Axis) -> Self {
-        match span {
-            Axis::X => Self { span: 0, chord: 1, thickness: 2 },
-            Axis::Y => Self { span: 1, chord: 0, thickness: 2 },
-            Axis::Z => Self { span: 2, chord: 0, thickness: 1 },
-        }
-    }
-}
 
 /// A cut of the planform: leading edge and the vector from there to the trailing edge, each `[chord, thickness]`.
 #[derive(Clone, Copy, Debug, PartialEq)]

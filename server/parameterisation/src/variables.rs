@@ -4,10 +4,29 @@ use std::collections::HashMap;
 use std::ops::Range;
 
 use crate::channel::{Additive, Relative};
-use crate::{Dimension, ParameterisationError, Unit, VariableDeclaration};
+use crate::error::ParameterisationError;
+use crate::unit::{Dimension, Unit};
 
 /// Scalars that one parameterisation may have.
 const VARIABLE_LIMIT: usize = 1_000_000;
+
+/// A named design variable: a scalar, a vector or a table of them, in row-major order.
+#[derive(Clone, Debug, PartialEq)]
+pub struct VariableDeclaration {
+    /// Unique name; the scalars are called `name`, `name[i]` or `name[i][j]`.
+    pub name: String,
+    /// Empty for a scalar, `[n]`, or `[rows, stations]`.
+    pub shape: Vec<usize>,
+    /// Unit of baseline, bounds and values.
+    pub unit: Unit,
+    /// The value that leaves the reference geometry as it is. Default: 0 for a variable that is added, 1 for a factor,
+    /// the reference geometry's own value for planform area and aspect ratio.
+    pub baseline: Option<f64>,
+    /// Lower bound of each scalar; may be `-INFINITY`.
+    pub lower: f64,
+    /// Upper bound of each scalar; may be `INFINITY`.
+    pub upper: f64,
+}
 
 /// One scalar of the design vector.
 #[derive(Clone, Debug, PartialEq)]
