@@ -1,5 +1,5 @@
-//! What operations are compiled against: components by name, their reference geometry, the design variables, and the
-//! points carried along.
+//! The context in which operations are compiled: components by name, their reference geometry, the design variables, and
+//! the points carried along.
 //!
 //! Pivots and centre lines are points beside the control points. They are placed before any operation is compiled, so
 //! that each is a target of every operation declared before the one that needs it.
@@ -68,13 +68,13 @@ impl Site {
         Ok((vector / largest).normalize())
     }
 
-    /// Index of the pivot among the points; an operation that placed none must not ask.
+    /// Index of the pivot among the points; meaningless for an operation that placed none.
     pub(crate) fn pivot(&self) -> usize {
         self.pivot.unwrap_or_default()
     }
 }
 
-/// State while operations are compiled one by one.
+/// The state of the compilation of operations, one by one.
 pub(crate) struct Compiler<'a> {
     pub(crate) components: &'a [ComponentReference],
     /// The surfaces of each component alone, sampled at first use.
@@ -153,8 +153,8 @@ impl<'a> Compiler<'a> {
         self.points.len() - 1
     }
 
-    /// What an operation moves: the control points of its members, then the points carried along with them, without its
-    /// own pivot.
+    /// The points that an operation moves: the control points of its members, then the points carried along with them,
+    /// without its own pivot.
     pub(crate) fn targets(&self, site: &Site) -> Vec<usize> {
         let own = site.members.iter().flat_map(|&c| self.ranges[c].clone());
         let carried = site.members.iter().flat_map(|&c| self.carried[c].iter().copied());

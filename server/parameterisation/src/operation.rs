@@ -1,4 +1,4 @@
-//! What every operation provides: a declaration that compiles, and the compiled map with its derivatives.
+//! The traits of operations: a declaration that compiles, and the compiled map with its derivatives.
 
 use moldline_foundation::Vector3;
 

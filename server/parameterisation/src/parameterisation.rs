@@ -33,7 +33,7 @@ pub struct Parameterisation {
     operations: Vec<AnyOperation>,
 }
 
-/// Control points of one component given directly, in place of what the design makes of it.
+/// Control points of one component, given directly in place of those of the design.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Override {
     /// Index of the component.
@@ -55,7 +55,7 @@ impl Parameterisation {
     /// Compiles a declaration against the reference geometry.
     ///
     /// # Errors
-    /// The first thing in the declaration that does not hold, with its path.
+    /// The first violation in the declaration, with its path.
     pub fn new(
         components: &[ComponentReference],
         variables: &[VariableDeclaration],
@@ -142,7 +142,7 @@ impl Parameterisation {
     /// Checks length, finite values and bounds.
     ///
     /// # Errors
-    /// The first value that is not acceptable.
+    /// The first value that is not accepted.
     pub fn validate(&self, design: &[f64]) -> Result<(), DesignError> {
         self.check(design)?;
         for (index, (&value, variable)) in design.iter().zip(&self.variables).enumerate() {
@@ -160,7 +160,7 @@ impl Parameterisation {
         Ok(())
     }
 
-    /// Everything that evaluation relies on; bounds are the caller's choice.
+    /// Checks everything that evaluation relies on; bounds are left to the caller.
     fn check(&self, design: &[f64]) -> Result<(), DesignError> {
         if design.len() != self.variables.len() {
             return Err(DesignError::Length { expected: self.variables.len(), found: design.len() });
@@ -222,7 +222,7 @@ impl Parameterisation {
         Ok(all)
     }
 
-    /// The map at a design, for derivatives.
+    /// The linearisation of the map at a design.
     ///
     /// # Errors
     /// As [`Self::control_points`].
@@ -246,8 +246,8 @@ impl Parameterisation {
         Ok(self.operations.iter().filter_map(|operation| operation.lattice(design)).collect())
     }
 
-    /// As [`Self::control_points`] in numbers of another kind, such as dual numbers: the same operations in the same order,
-    /// so that what such numbers carry along is that of the map. Bounds and signs are not looked at.
+    /// As [`Self::control_points`] in another number type, such as dual numbers: the same operations in the same order, so
+    /// that derivatives carried along are those of the map. Bounds and signs are not checked.
     ///
     /// # Errors
     /// [`DesignError::Length`].
@@ -290,8 +290,8 @@ impl Linearisation<'_> {
         Ok(self.parameterisation.split(&tangents))
     }
 
-    /// J^T w for each of `seeds` (one 3-vector per control point of every component): a gradient per design variable,
-    /// per declared unit.
+    /// J^T w for each of `seeds` (one 3-vector per control point of every component): the gradient with respect to the
+    /// design variables in their declared units.
     ///
     /// # Errors
     /// [`DesignError::VectorLength`].
@@ -321,7 +321,7 @@ fn expect_length(what: impl FnOnce() -> String, found: usize, expected: usize) -
     if found == expected { Ok(()) } else { Err(DesignError::VectorLength { what: what(), expected, found }) }
 }
 
-/// The name with the smallest edit distance, if it is close enough to be a slip of the pen.
+/// The name with the smallest edit distance, if it is close enough for a misspelling.
 fn nearest<'n>(name: &str, names: impl Iterator<Item = &'n str>) -> Option<String> {
     const LONGEST: usize = 100;
     if name.len() > LONGEST {

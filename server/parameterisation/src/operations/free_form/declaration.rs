@@ -1,4 +1,4 @@
-//! What a user declares of a free-form block.
+//! The declaration of a free-form block.
 
 use crate::axis::Axis;
 
@@ -59,7 +59,7 @@ pub enum SectionKind {
     },
     /// Ratio: the uppermost layer moves up and the lowest down by this fraction of the local chord.
     Thickness {
-        /// As for camber.
+        /// The rows that move, as for camber.
         rows: Vec<usize>,
     },
 }

@@ -23,8 +23,8 @@ use crate::error::ParameterisationError;
 use crate::scalar::Scalar;
 use crate::sections::{SampledSurfaces, Section};
 
-/// Sections thinner than this fraction of the largest chord get this chord, so that their frames stay well defined
-/// (a pointed tip).
+/// Sections shorter than this fraction of the largest chord get this chord, so that their frames stay well defined (a
+/// pointed tip).
 const SMALLEST_CHORD: f64 = 0.05;
 /// Width of the lattice, in chords, where the embedded points have none (a flat plate).
 const SMALLEST_WIDTH: f64 = 0.02;
@@ -241,7 +241,7 @@ impl<'a, T: Scalar> Turned<'a, T> {
         [along * stretch, across * thickness + stretch * self.bulge(row, layer)]
     }
 
-    /// The same after it: positive twist takes the trailing edge down.
+    /// Coordinates along e and n after the twist: positive twist takes the trailing edge down.
     fn turn(&self, [a, b]: [T; 2]) -> [T; 2] {
         [self.cos * a + self.sin * b, self.cos * b - self.sin * a]
     }
@@ -252,7 +252,7 @@ impl<'a, T: Scalar> Turned<'a, T> {
 pub(super) struct SectionLattice {
     pub(super) volume: Volume,
     pub(super) sections: Sections,
-    /// Of a and of t over all embedded points.
+    /// The extents of a and of t over all embedded points.
     along_extent: Extent,
     across_extent: Extent,
     /// a_i, t_j and sigma_j.
