@@ -1,8 +1,9 @@
 //! What control points contribute to a surface point and its first derivatives at fixed parameters (`dS = N dC`, `dJ = N' dC`
 //! of the derivation notes).
 
-use crate::block::add_row;
-use crate::{Block, Body, Location};
+use crate::block::{Block, add_row};
+use crate::body::Body;
+use crate::location::Location;
 use moldline_spline::Basis;
 
 /// The weights with which the control points of a component enter `S`, `S_u` and `S_v` at one location.

@@ -4,8 +4,8 @@
 //! weights), and so are its derivatives of the differences of the control points. From that follow an oriented box around
 //! the piece and, for the squared distance to a given point, a proof that it is convex over the piece.
 
-use crate::Vector3;
-use crate::newton::Rectangle;
+use crate::location::Rectangle;
+use moldline_foundation::Vector3;
 use moldline_spline::{LinearRow, MAX_DEGREE, Surface};
 
 /// Enough for every degree.

@@ -1,6 +1,6 @@
 //! Tangents and seeds of several directions at once.
 
-use crate::Vector3;
+use moldline_foundation::Vector3;
 
 /// `width` numbers for each of a number of items, item after item.
 ///

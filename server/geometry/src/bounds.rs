@@ -1,6 +1,6 @@
 //! Axis-aligned boxes.
 
-use crate::Vector3;
+use moldline_foundation::Vector3;
 
 /// An axis-aligned box; empty if `low > high`.
 #[derive(Debug, Clone, Copy, PartialEq)]

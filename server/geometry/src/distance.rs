@@ -13,7 +13,10 @@
 //! with `G = J^T J` and `B_ab = S_ab . n`. On a sharp edge the same holds with the one parameter along it, at a corner the
 //! parameters are fixed; there `n = (x - y) / phi`.
 
-use crate::{Body, Feature, FootPoint, Location, Side, Vector3};
+use crate::body::Body;
+use crate::foot_point::{Feature, FootPoint};
+use crate::location::{Location, Side};
+use moldline_foundation::Vector3;
 
 /// The operation `x -> phi, n` for one body.
 #[derive(Debug, Clone, Copy)]

@@ -6,11 +6,9 @@
 //! minimum is there. The trust region shrinks where the model promises too much, so that every accepted step decreases
 //! the distance and the iteration ends at a point where the model has nothing to gain.
 
-use crate::component::Patch;
-use crate::{Side, Vector3};
+use crate::location::Rectangle;
+use moldline_foundation::Vector3;
 use moldline_spline::{Surface, SurfaceJet};
-
-pub(crate) type Rectangle = [(f64, f64); 2];
 
 /// Steps shorter than this, relative to the size of the component, are the last ones of a quadratic iteration.
 const LAST_STEP: f64 = 1e-11;
@@ -203,24 +201,16 @@ pub(crate) fn in_rectangle(
     Some((i.u, i.v))
 }
 
-/// The foot point along a side of a patch within a range of its parameter: parameter and distance.
-pub(crate) fn on_side(
-    patch: &Patch,
-    control_points: &[[f64; 4]],
-    side: Side,
-    range: (f64, f64),
+/// The foot point of `x` on a curve within a range of its parameter, from `start`: parameter and distance. `curve` gives
+/// the position relative to `x` and the first and second derivative.
+pub(crate) fn on_curve(
     x: &Vector3,
+    range: (f64, f64),
     start: f64,
+    curve: impl Fn(f64) -> [Vector3; 3],
 ) -> (f64, f64) {
-    let points = &control_points[patch.range.clone()];
-    let at = |t: f64| {
-        let l = patch.on_side(0, side, t);
-        let j = patch.surface.jet(points, l.u, l.v);
-        let (d, dd) = if side.holds_u() { (j.d_v, j.d_vv) } else { (j.d_u, j.d_uu) };
-        (j.position - x, d, dd)
-    };
     let mut t = start.clamp(range.0, range.1);
-    let (mut r, mut d, mut dd) = at(t);
+    let [mut r, mut d, mut dd] = curve(t);
     for _ in 0..60 {
         let gauss = d.norm_squared();
         if gauss == 0.0 {
@@ -239,10 +229,10 @@ pub(crate) fn on_side(
         let allowance = if newton && relative <= 1e-6 { noise(&r, x) } else { 0.0 };
         let mut scale = 1.0;
         let accepted = loop {
-            let next = at(t + scale * dt);
-            if last || next.0.norm_squared() < r.norm_squared() + allowance {
+            let next = curve(t + scale * dt);
+            if last || next[0].norm_squared() < r.norm_squared() + allowance {
                 t += scale * dt;
-                (r, d, dd) = next;
+                [r, d, dd] = next;
                 break true;
             }
             scale *= 0.5;

@@ -1,6 +1,6 @@
 //! The smooth union of signed distances (eq. 8; section 2 of the derivation notes).
 
-use crate::Vector3;
+use moldline_foundation::Vector3;
 
 /// Components further than this many multiples of `1 / rho` beyond the nearest weigh less than 1e-17.
 const SKIP: f64 = 40.0;
