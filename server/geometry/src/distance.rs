@@ -17,6 +17,7 @@ use crate::body::Body;
 use crate::foot_point::{Feature, FootPoint};
 use crate::location::{Location, Side};
 use moldline_foundation::Vector3;
+use nalgebra::Matrix2;
 
 /// The operation `x -> phi, n` for one body.
 #[derive(Debug, Clone, Copy)]
@@ -62,7 +63,7 @@ pub struct SignedDistanceDerivative {
     offset: Vector3,
     /// Rows of `P` in `dmu = P (dx - dS) + Q dJ^T (x - y)`.
     p: [Vector3; 2],
-    q: [[f64; 2]; 2],
+    q: Matrix2<f64>,
     turn: Turn,
 }
 
@@ -73,7 +74,7 @@ enum Turn {
     Face {
         /// Columns of `J G^-1`.
         lift: [Vector3; 2],
-        b: [[f64; 2]; 2],
+        b: Matrix2<f64>,
     },
     /// `dn = (I - n n^T) (dx - dS - J dmu) / phi`: edges and corners.
     Fan,
@@ -117,20 +118,19 @@ impl<'a> SignedDistance<'a> {
         let jet = self.body.jet(&foot.location);
         let offset = x - foot.position;
         let j = [jet.d_u, jet.d_v];
-        let dot = |v: &Vector3| [[jet.d_uu.dot(v), jet.d_uv.dot(v)], [jet.d_uv.dot(v), jet.d_vv.dot(v)]];
-        let g = [[j[0].dot(&j[0]), j[0].dot(&j[1])], [j[1].dot(&j[0]), j[1].dot(&j[1])]];
+        let uv = jet.d_uv;
+        let dot = |v: &Vector3| Matrix2::new(jet.d_uu.dot(v), uv.dot(v), uv.dot(v), jet.d_vv.dot(v));
+        let g = Matrix2::from_fn(|a, b| j[a].dot(&j[b]));
         let mut p = [Vector3::zeros(); 2];
-        let mut q = [[0.0; 2]; 2];
+        let mut q = Matrix2::zeros();
         let turn = match (foot.feature, self.parameter_along(foot)) {
             (Feature::Face, _) => {
                 // phi B, with x - y = phi n.
-                let bent = dot(&offset);
-                let h: [[f64; 2]; 2] = std::array::from_fn(|a| std::array::from_fn(|b| g[a][b] - bent[a][b]));
-                q = inverse(&h);
-                p = std::array::from_fn(|a| j[0] * q[a][0] + j[1] * q[a][1]);
-                let g = inverse(&g);
+                q = inverse(g - dot(&offset));
+                p = std::array::from_fn(|a| j[0] * q[(a, 0)] + j[1] * q[(a, 1)]);
+                let g = inverse(g);
                 Turn::Face {
-                    lift: std::array::from_fn(|a| j[0] * g[0][a] + j[1] * g[1][a]),
+                    lift: std::array::from_fn(|a| j[0] * g[(0, a)] + j[1] * g[(1, a)]),
                     b: dot(&at.normal),
                 }
             }
@@ -138,8 +138,8 @@ impl<'a> SignedDistance<'a> {
                 // An end of the edge holds a foot point that would go on behind it.
                 let free = |t: &usize| j[*t].dot(&offset).abs() <= 1e-9 * self.body.size() * j[*t].norm();
                 if let Some(t) = along.filter(free) {
-                    q[t][t] = 1.0 / (g[t][t] - dot(&offset)[t][t]);
-                    p[t] = j[t] * q[t][t];
+                    q[(t, t)] = 1.0 / (g[(t, t)] - dot(&offset)[(t, t)]);
+                    p[t] = j[t] * q[(t, t)];
                 }
                 if self.is_on(at.phi) { Turn::Held } else { Turn::Fan }
             }
@@ -170,14 +170,14 @@ impl SignedDistanceDerivative {
     pub fn parameters_jvp(&self, change: &FootChange) -> [f64; 2] {
         let step = change.x - change.s;
         let tilt = change.s_uv.map(|s| s.dot(&self.offset));
-        std::array::from_fn(|a| self.p[a].dot(&step) + self.q[a][0] * tilt[0] + self.q[a][1] * tilt[1])
+        std::array::from_fn(|a| self.p[a].dot(&step) + self.q[(a, 0)] * tilt[0] + self.q[(a, 1)] * tilt[1])
     }
 
     /// The transpose of [`parameters_jvp`](Self::parameters_jvp).
     pub fn parameters_vjp(&self, seed: [f64; 2]) -> FootChange {
         let x = self.p[0] * seed[0] + self.p[1] * seed[1];
         // Q is symmetric.
-        let tilt: [f64; 2] = std::array::from_fn(|a| self.q[a][0] * seed[0] + self.q[a][1] * seed[1]);
+        let tilt: [f64; 2] = std::array::from_fn(|a| self.q[(a, 0)] * seed[0] + self.q[(a, 1)] * seed[1]);
         FootChange { x, s: -x, s_uv: tilt.map(|t| self.offset * t) }
     }
 
@@ -188,7 +188,7 @@ impl SignedDistanceDerivative {
         let turned = match &self.turn {
             Turn::Face { lift, b } => {
                 let rhs: [f64; 2] = std::array::from_fn(|a| {
-                    self.normal.dot(&change.s_uv[a]) + b[a][0] * mu[0] + b[a][1] * mu[1]
+                    self.normal.dot(&change.s_uv[a]) + b[(a, 0)] * mu[0] + b[(a, 1)] * mu[1]
                 });
                 -(lift[0] * rhs[0] + lift[1] * rhs[1])
             }
@@ -210,7 +210,7 @@ impl SignedDistanceDerivative {
                 for a in 0..2 {
                     out.s_uv[a] += self.normal * t[a];
                 }
-                std::array::from_fn(|a| b[a][0] * t[0] + b[a][1] * t[1])
+                std::array::from_fn(|a| b[(a, 0)] * t[0] + b[(a, 1)] * t[1])
             }
             Turn::Fan => {
                 let across = (n - self.normal * self.normal.dot(n)) / self.phi;
@@ -248,7 +248,7 @@ impl SignedDistanceDerivative {
     }
 }
 
-fn inverse(m: &[[f64; 2]; 2]) -> [[f64; 2]; 2] {
-    let determinant = m[0][0] * m[1][1] - m[0][1] * m[1][0];
-    [[m[1][1] / determinant, -m[0][1] / determinant], [-m[1][0] / determinant, m[0][0] / determinant]]
+/// The inverse; not a number at a focal point, where the foot point and so the derivative are not unique.
+fn inverse(m: Matrix2<f64>) -> Matrix2<f64> {
+    m.try_inverse().unwrap_or_else(|| Matrix2::repeat(f64::NAN))
 }
