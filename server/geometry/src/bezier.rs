@@ -1,8 +1,8 @@
-//! Bezier pieces of patches and what is provable about them: boxes, and bounds of the derivatives.
+//! Bezier pieces of patches, with boxes and bounds of the derivatives.
 //!
 //! A point of a Bezier patch is a convex combination of its control points (of their Cartesian positions, for positive
-//! weights), and so are its derivatives of the differences of the control points. From that follow an oriented box around
-//! the piece and, for the squared distance to a given point, a proof that it is convex over the piece.
+//! weights), and its derivatives are convex combinations of differences of the control points. From that follow an oriented
+//! box around the piece and, for the squared distance to a given point, a proof that it is convex over the piece.
 
 use crate::location::Rectangle;
 use moldline_foundation::Vector3;

@@ -10,9 +10,9 @@
 //!   squared distance exceeds the bound, is a global one;
 //! - none of these: it is halved, and the halves are examined in turn.
 //!
-//! So the result is the global minimum up to `TOLERANCE` of the body's size. The exception are points with (nearly) a
-//! continuum of nearest points, such as those on the axis of a tube: halving would not end there within reason. After
-//! every `PATIENCE` halvings the tolerance doubles; the point returned is an exact local minimum all the same.
+//! So the result is the global minimum up to `TOLERANCE` of the body's size. The exception is points with (nearly) a
+//! continuum of nearest points, such as those on the axis of a tube, where halving would take too long. After every
+//! `PATIENCE` halvings the tolerance doubles; the point returned is still an exact local minimum.
 
 use crate::bezier::{Net, SIDE, Shape, position};
 use crate::body::Body;
@@ -22,8 +22,9 @@ use crate::location::{Location, Rectangle};
 use crate::newton;
 use moldline_foundation::Vector3;
 
-/// Relative to the size of the body.
+/// Tolerance of the minimum, relative to the size of the body.
 const TOLERANCE: f64 = 1e-14;
+/// Halvings after which the tolerance doubles.
 const PATIENCE: usize = 1024;
 /// Pieces smaller than this, relative to the body, are not halved any more.
 const SMALLEST: f64 = 1e-14;
@@ -91,7 +92,7 @@ impl Query<'_> {
         TOLERANCE * self.size * f64::exp2((self.halvings / PATIENCE) as f64)
     }
 
-    /// Square of the distance from which on nothing can be closer than what is known.
+    /// Square of the distance at and beyond which a piece cannot improve on the best point.
     fn limit(&self) -> f64 {
         let d = (self.distance - self.tolerance()).max(0.0);
         d * d
@@ -150,7 +151,7 @@ impl Query<'_> {
         self.best.is_some() && net.points().all(|h| (position(h) - self.x).dot(&sight) >= limit)
     }
 
-    /// Examines a leaf of which nothing more is proven than that its minimum is in `part`.
+    /// Examines a leaf that is only known to have its minimum in `part`.
     fn refine<const N: usize>(&mut self, leaf: &Leaf, part: Rectangle, net: &Net<N>) {
         if self.is_beyond(net) {
             return;

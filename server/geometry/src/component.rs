@@ -1,8 +1,8 @@
 //! Components: named sets of untrimmed patches that enclose a volume (the S_c of eq. 1).
 //!
-//! A user's patches may be only C0 at knots of full multiplicity, may be unclamped, and may be oriented either way.
-//! Inside, patches are clamped and smooth, cut at their C0 knots; the cut is a linear map of control points that is kept
-//! as a sparse matrix, so that deformed control points and derivatives pass through it.
+//! A user's patches may be only C0 at knots of full multiplicity, unclamped, and oriented either way. Internal patches are
+//! clamped and smooth, cut at the C0 knots; the cut is a linear map of control points, kept as a sparse matrix, so that
+//! deformed control points and derivatives pass through it.
 
 use crate::block::{Block, add_row};
 use crate::bounds::Aabb;
@@ -197,7 +197,7 @@ impl Component {
         self.edges().iter().any(Edge::is_boundary)
     }
 
-    /// The edge a location lies on, whatever its kind, if it is within `tolerance` (relative to the length of the patch's
+    /// The edge that a location lies on, whatever its kind, if it is within `tolerance` (relative to the length of the patch's
     /// parameter range) of a side; sharp and collapsed edges go before smooth ones.
     pub fn edge_of(&self, location: &Location, tolerance: f64) -> Option<u32> {
         let patch = self.patches.get(location.patch as usize)?;

@@ -1,15 +1,15 @@
-//! From a side of a patch to the patch behind it.
+//! Crossing an edge: from a side of a patch to the patch behind it.
 
 use crate::body::Body;
 use crate::location::{Location, Side};
 
-/// How a body goes on behind a side of a patch.
+/// The continuation of a body behind a side of a patch.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Crossing {
     pub edge: u32,
     pub side: Side,
     pub to: Location,
-    /// How fast the parameter along the side runs behind it, in terms of that before it.
+    /// Derivative of the parameter along the side behind it with respect to that before it.
     pub slope: f64,
 }
 

@@ -7,13 +7,13 @@ use crate::newton::{Iterate, Progress};
 use crate::topology::Incidence;
 use moldline_foundation::Vector3;
 
-/// Steps of a local descent; five are usual.
+/// Most steps of a local descent; five are usual.
 const MAX_STEPS: usize = 200;
-/// Patch sides it crosses before it settles for the patch that it is on.
+/// Most patch sides that a descent crosses; then it stays on its patch.
 const MAX_MOVES: usize = 50;
 
 impl Body {
-    /// The local minimum of the distance that descent from `hint` leads to. It walks over patch edges and stays on the
+    /// The local minimum of the distance that descent from `hint` reaches. Descent crosses patch edges and stays on the
     /// hint's sheet of a thin body. `None` if it does not converge.
     pub fn closest_point_near(&self, x: &Vector3, hint: &Location) -> Option<FootPoint> {
         self.descend(x, hint).map(|l| self.foot_point(x, &l))
@@ -33,7 +33,7 @@ impl Body {
         for _ in 0..MAX_STEPS {
             let held = i.held(domain);
             if held != [false; 2] && moves < MAX_MOVES {
-                // At a side that the gradient pushes against: go on behind it if that leads down.
+                // At a side that the gradient pushes against: go on behind it if the distance decreases there.
                 let l = Location { patch, u: i.u, v: i.v };
                 if let Some(to) = self.descending_neighbour(&l, &i.r, held) {
                     moves += 1;

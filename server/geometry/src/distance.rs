@@ -1,5 +1,5 @@
-//! The signed distance of a component as an operation, with its first and second-order terms (eqs. 5 and 6; section 1 of
-//! the derivation notes).
+//! The signed distance of a component as an operation, with its first and second-order terms (eqs. 5 and 6;
+//! `docs/derivation.md`, section 2).
 //!
 //! A foot point `y = S(mu)` in a face obeys `J^T (x - y) = 0`, so that `x - y = phi n`, and for changes `dx` of the point
 //! and `dS`, `dJ` of the surface at fixed parameters
@@ -38,8 +38,8 @@ pub struct SignedDistancePoint {
     pub foot: FootPoint,
 }
 
-/// What moves with a foot point: the point itself, and the surface under it at fixed parameters. Serves for tangents and
-/// for seeds.
+/// The arguments of a foot point: the point itself, and the surface under it at fixed parameters. Holds their tangents or
+/// their seeds.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct FootChange {
     /// `dx`, the point.
@@ -67,7 +67,7 @@ pub struct SignedDistanceDerivative {
     turn: Turn,
 }
 
-/// How the gradient turns.
+/// The form of `dn`.
 #[derive(Debug, Clone, Copy)]
 enum Turn {
     /// `dn = -J G^-1 [dJ^T n + B dmu]`.
@@ -78,7 +78,7 @@ enum Turn {
     },
     /// `dn = (I - n n^T) (dx - dS - J dmu) / phi`: edges and corners.
     Fan,
-    /// On an edge or a corner itself the gradient jumps; the mean normal is held.
+    /// `dn = 0`: on an edge or a corner itself the gradient jumps; the mean normal is held.
     Held,
 }
 
@@ -107,7 +107,7 @@ impl<'a> SignedDistance<'a> {
         SignedDistancePoint { phi, normal, foot }
     }
 
-    /// Whether a distance is none.
+    /// Whether a distance is zero up to rounding.
     fn is_on(&self, phi: f64) -> bool {
         phi.abs() <= 1e-12 * self.body.size()
     }
@@ -166,7 +166,7 @@ impl<'a> SignedDistance<'a> {
 }
 
 impl SignedDistanceDerivative {
-    /// `dmu`: how the parameters of the foot point change.
+    /// `dmu`: the change of the foot point's parameters.
     pub fn parameters_jvp(&self, change: &FootChange) -> [f64; 2] {
         let step = change.x - change.s;
         let tilt = change.s_uv.map(|s| s.dot(&self.offset));
@@ -242,7 +242,7 @@ impl SignedDistanceDerivative {
         out
     }
 
-    /// `P`: how the parameters follow the point, rows for `u` and `v`.
+    /// `P`: the derivative of the parameters with respect to the point, rows for `u` and `v`.
     pub fn parameters_by_point(&self) -> [Vector3; 2] {
         self.p
     }

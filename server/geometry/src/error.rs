@@ -2,10 +2,10 @@
 
 use crate::location::Side;
 
-/// Why patches do not make a component.
+/// Why patches do not form a component.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ComponentError {
-    /// There is no patch.
+    /// No patches.
     #[error("component '{component}' has no patches")]
     Empty {
         /// The component's name.
@@ -16,11 +16,11 @@ pub enum ComponentError {
     ControlPointCount {
         /// The patch's name.
         patch: String,
-        /// How many were given.
+        /// Number of control points given.
         count: usize,
-        /// How many the knots need along `u`.
+        /// Control points that the knots need along `u`.
         n_u: usize,
-        /// How many the knots need along `v`.
+        /// Control points that the knots need along `v`.
         n_v: usize,
     },
     /// Control points and weights differ in number.
@@ -87,7 +87,7 @@ pub enum ComponentError {
         patch: String,
         /// The side.
         side: Side,
-        /// How many sides share the edge.
+        /// Number of sides that share the edge.
         count: usize,
     },
     /// Inside and outside cannot be told apart.

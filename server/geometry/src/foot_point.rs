@@ -11,19 +11,19 @@ use crate::topology::{EdgeSide, Incidence, VertexKind};
 use moldline_foundation::Vector3;
 use moldline_spline::SurfacePoint;
 
-/// Where on a component a foot point lies.
+/// The feature of a component that a foot point lies on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Feature {
     /// Inside a face, or on a smooth edge between patches.
     Face,
     /// On a sharp or boundary edge.
     Edge {
-        /// Index in [`Component::edges`].
+        /// Index in [`Component::edges`](crate::Component::edges).
         edge: u32,
     },
     /// At a pole, or where sharp edges meet at an angle.
     Corner {
-        /// Index in [`Component::vertices`].
+        /// Index in [`Component::vertices`](crate::Component::vertices).
         vertex: u32,
     },
 }
@@ -33,7 +33,7 @@ pub enum Feature {
 pub struct FootPoint {
     /// Its parameters.
     pub location: Location,
-    /// What it lies on.
+    /// The feature that it lies on.
     pub feature: Feature,
     /// Its position, metres.
     pub position: Vector3,
@@ -70,7 +70,7 @@ impl Body {
         self.foot_point(x, &patch.on_side(s.patch, s.side, t))
     }
 
-    /// What a location is to `x`, if it is its foot point: feature, normal and signed distance.
+    /// The foot point of `x` at a location that is known to be one: feature, normal and signed distance.
     pub fn foot_point(&self, x: &Vector3, l: &Location) -> FootPoint {
         let patch = &self.component().patches()[l.patch as usize];
         let [ru, rv] = patch.surface.domain();
@@ -82,7 +82,7 @@ impl Body {
         let norm = sum.norm();
         let length = d.norm();
         let (normal, distance) = if norm <= 1e-7 {
-            // Opposite normals: an edge without wedge. What is nearest to it is outside.
+            // Opposite normals: an edge without wedge. Points nearest to it are outside.
             let away = if length > 0.0 { d / length } else { self.normal_at(&l, &point) };
             (away, length)
         } else {

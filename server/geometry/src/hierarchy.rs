@@ -9,9 +9,9 @@ use moldline_spline::Surface;
 
 /// Leaves are cut until their tangents turn less than this...
 const TURNING: f64 = 0.6;
-/// ... but not more often than this: at poles they turn whatever the size.
+/// ... but at most this often: at poles they turn whatever the size.
 const MAX_CUTS: usize = 4;
-/// Control points a side of the nets of cubic patches; the others' are much larger.
+/// Control points per side of the nets of cubic patches; nets of other patches are much larger.
 pub(crate) const SMALL: usize = 4;
 /// Entries of the stack of a traversal: the tree is balanced, so its depth is the logarithm of the number of leaves.
 const STACK: usize = 64;

@@ -11,12 +11,12 @@ use crate::topology::{Edge, EdgeSide, Incidence, Piece, Topology, Vertex, Vertex
 use moldline_foundation::Vector3;
 use moldline_spline::SurfacePoint;
 
-/// How patches are joined.
+/// Options for joining patches.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ComponentOptions {
     /// An edge is sharp where the normals of its two sides differ by more than this, degrees.
     pub sharp_angle_degrees: f64,
-    /// Patch edges this close, relative to the component's size, are the same.
+    /// Patch edges within this distance of each other, relative to the component's size, are one.
     pub edge_tolerance: f64,
     /// Whether a shell may have a boundary (a half model cut at its symmetry plane).
     pub allow_open: bool,
@@ -45,7 +45,7 @@ pub(crate) fn join(
     Ok(topology)
 }
 
-/// A piece of a side before it has found its partner.
+/// A piece of a side, not yet paired with its partner.
 struct Candidate {
     side: EdgeSide,
     vertices: [u32; 2],
@@ -185,7 +185,7 @@ impl Finder<'_> {
         (distance <= self.tolerance && inside).then_some(t)
     }
 
-    /// Largest distance from inner points of `a` to `b`.
+    /// Whether inner points of `a` lie on `b`.
     fn coincide(&self, a: &EdgeSide, b: &EdgeSide) -> bool {
         (1..8).all(|k| {
             let x = self.position(&a.at(self.patches, k as f64 / 8.0));
@@ -254,7 +254,7 @@ impl Finder<'_> {
         Ok(edges)
     }
 
-    /// Consistent orientation over each shell, outward by the sign of its volume.
+    /// Orients each shell consistently, outward by the sign of its volume.
     fn orient(&self, topology: &Topology, options: &ComponentOptions) -> Result<Vec<bool>, ComponentError> {
         let mut flipped: Vec<Option<bool>> = vec![None; self.patches.len()];
         for start in 0..self.patches.len() {
@@ -356,7 +356,7 @@ impl Finder<'_> {
         shell.iter().map(cone).sum()
     }
 
-    /// Sharp edges by the angle between the normals of their sides, and what that makes of the vertices.
+    /// Finds sharp edges by the angle between the normals of their sides, and the kinds of vertices that follow.
     fn classify(&self, topology: &mut Topology, options: &ComponentOptions) {
         let limit = options.sharp_angle_degrees.to_radians().cos();
         let flipped = topology.flipped.clone();

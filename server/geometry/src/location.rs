@@ -31,7 +31,7 @@ pub enum Side {
 }
 
 impl Side {
-    /// All four.
+    /// All four sides.
     pub const ALL: [Side; 4] = [Side::UMin, Side::UMax, Side::VMin, Side::VMax];
 
     /// Whether `u` is constant along the side.
@@ -58,7 +58,7 @@ impl Side {
         (along, if self.is_min() { across } else { -across })
     }
 
-    /// How the derivative across the side, pointing into the patch, changes along it.
+    /// The derivative along the side of the derivative across it that points into the patch.
     pub(crate) fn inward_along(self, jet: &SurfaceJet) -> Vector3 {
         if self.is_min() { jet.d_uv } else { -jet.d_uv }
     }

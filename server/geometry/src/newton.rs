@@ -12,7 +12,7 @@ use moldline_spline::{Surface, SurfaceJet};
 
 /// Steps shorter than this, relative to the size of the component, are the last ones of a quadratic iteration.
 const LAST_STEP: f64 = 1e-11;
-/// Steps shorter than this, relative to the size of the component, change nothing any more.
+/// Steps shorter than this, relative to the size of the component, are lost in rounding.
 const NO_STEP: f64 = 1e-15;
 
 /// The state of an iteration within a rectangle of parameters.
@@ -32,7 +32,7 @@ pub(crate) struct Iterate<'a> {
     share: f64,
 }
 
-/// What became of a step.
+/// The outcome of a step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Progress {
     Moved,
@@ -40,7 +40,7 @@ pub(crate) enum Progress {
     Converged,
 }
 
-/// A step in the parameters and what is known about it.
+/// A step in the parameters with its properties.
 #[derive(Debug, Clone, Copy)]
 struct Step {
     du: f64,
@@ -49,7 +49,7 @@ struct Step {
     newton: bool,
     /// Length of the step in space, metres.
     length: f64,
-    /// By how much the model expects `|S - x|^2` to decrease.
+    /// The decrease of `|S - x|^2` that the model predicts.
     decrease: f64,
 }
 
@@ -164,7 +164,7 @@ impl<'a> Iterate<'a> {
     }
 }
 
-/// A bound on what rounding does to `|S - x|^2`: the difference of coordinates, and its square.
+/// A bound on the rounding of `|S - x|^2`: that of the difference of coordinates, and of its square.
 fn noise(r: &Vector3, x: &Vector3) -> f64 {
     let r = r.norm();
     1e-14 * r * (r + x.norm())

@@ -1,4 +1,4 @@
-//! Patches: what a user gives, and the smooth pieces that a component is made of.
+//! Patches: a user's input, and the smooth pieces of a component.
 
 use crate::error::ComponentError;
 use crate::location::{Location, Side};
@@ -7,7 +7,7 @@ use moldline_foundation::{Vector3, quadrature::GAUSS_4};
 use moldline_spline::{KnotVector, Surface, SurfacePoint};
 use std::ops::Range;
 
-/// A patch as a user gives it.
+/// A user's patch.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PatchInput {
     /// Its name, for messages.
@@ -18,7 +18,7 @@ pub struct PatchInput {
     pub knots_v: KnotVector,
     /// Cartesian control points, metres, index `i n_v + j`.
     pub control_points: Vec<[f64; 3]>,
-    /// Positive weights in the same order; none means all 1.
+    /// Positive weights in the same order; all 1 if absent.
     pub weights: Option<Vec<f64>>,
 }
 

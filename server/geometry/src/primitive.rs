@@ -49,13 +49,13 @@ pub enum Primitive {
     },
 }
 
-/// Why a primitive cannot be made.
+/// Why a primitive is not valid.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum PrimitiveError {
     /// A measure is not finite, or not positive.
     #[error("the primitive's {field} is {value}: it must be finite and positive")]
     Measure {
-        /// Which one.
+        /// Name of the measure.
         field: &'static str,
         /// Its value.
         value: f64,

@@ -8,7 +8,7 @@ use crate::patch::Patch;
 pub struct EdgeSide {
     /// Patch index.
     pub patch: u32,
-    /// Which side.
+    /// The side.
     pub side: Side,
     /// Parameter along the side at the edge's first and at its last vertex; decreasing if the edge runs against it.
     pub range: (f64, f64),
@@ -54,7 +54,7 @@ impl Edge {
     }
 }
 
-/// What a vertex is to a foot point.
+/// The feature that a foot point at a vertex lies on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum VertexKind {
     /// Every edge that ends here is smooth: an ordinary point of a face.
@@ -68,20 +68,20 @@ pub enum VertexKind {
     Corner,
 }
 
-/// How a patch touches a vertex.
+/// The contact of a patch with a vertex.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Incidence {
-    /// With a corner of its parameter rectangle.
+    /// A corner of its parameter rectangle.
     Corner {
         /// The corner.
         location: Location,
     },
-    /// With an inner point of a side.
+    /// An inner point of a side.
     OnSide {
         /// The point.
         location: Location,
     },
-    /// With a whole side that is collapsed.
+    /// A whole side that is collapsed.
     Pole {
         /// The patch.
         patch: u32,
@@ -93,13 +93,13 @@ pub enum Incidence {
 /// A point where edges end.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Vertex {
-    /// What it is to a foot point.
+    /// The feature that a foot point here lies on.
     pub kind: VertexKind,
     pub(crate) incidences: Vec<Incidence>,
 }
 
 impl Vertex {
-    /// How patches touch it.
+    /// The contacts of patches with it.
     pub fn incidences(&self) -> &[Incidence] {
         &self.incidences
     }

@@ -1,4 +1,4 @@
-//! Lines of one parameter over the patches of a body.
+//! Lines of one parameter over the patches of a body (`docs/derivation.md`, section 4).
 
 use crate::body::Body;
 use crate::location::{Location, Side};
@@ -12,14 +12,14 @@ pub enum ParameterDirection {
     V,
 }
 
-/// The end of a line of one parameter and how it depends on its start and its length.
+/// The end of a line of one parameter, with its derivatives.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Walk {
-    /// Where it ends.
+    /// The end of the line.
     pub end: Location,
-    /// `d(u, v)` of the end by the `(u, v)` of the start.
+    /// Derivative of the end's `(u, v)` with respect to the start's `(u, v)`.
     pub by_start: [[f64; 2]; 2],
-    /// `d(u, v)` of the end by the length.
+    /// Derivative of the end's `(u, v)` with respect to the length.
     pub by_length: [f64; 2],
 }
 
@@ -38,8 +38,8 @@ impl Body {
         Walk { end, by_start: d.map(|row| [row[0], row[1]]), by_length: d.map(|row| row[2]) }
     }
 
-    /// The end of a line of one parameter. `derivative` goes along with it: `d(u, v)` by the start's `u`, `v` and by the
-    /// length.
+    /// The end of a line of one parameter. `derivative` is carried along: that of `(u, v)` with respect to the start's `u`
+    /// and `v` and to the length.
     fn follow(
         &self,
         from: &Location,
@@ -51,7 +51,7 @@ impl Body {
         let mut along = along;
         let mut delta = delta;
         let mut d_delta = [0.0, 0.0, 1.0];
-        // A closed body could be walked around for ever only by an absurd `delta`.
+        // The limit is reached only by an absurd `delta` around a closed body.
         for _ in 0..1000 {
             let domain = self.component().patches()[l.patch as usize].surface.domain();
             let moves_u = along == ParameterDirection::U;
