@@ -1,19 +1,57 @@
 //! Rotation about the axis k through the pivot P, by Rodrigues' formula:
 //! x' = x + T (x - P), T = R - I = sin(a) K + (1 - cos(a)) K^2, K v = k x v.
 
-use moldline_spline::Vector3;
+use moldline_foundation::Vector3;
 use nalgebra::{Matrix3, convert};
 
-use crate::{Scalar, channel::Additive, parameterisation::shift};
+use crate::channel::Additive;
+use crate::compile::{Compiler, Site};
+use crate::error::ParameterisationError;
+use crate::operation::{Declaration, Operation};
+use crate::pivot::Pivot;
+use crate::scalar::{Scalar, shift};
+use crate::unit::Dimension;
+
+/// Rotation about an axis through a point, right-handed: about +y positive is nose up.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RotationDeclaration {
+    /// Components that turn together.
+    pub components: Vec<String>,
+    /// Direction of the axis; need not be of unit length.
+    pub axis: [f64; 3],
+    /// A point on the axis.
+    pub pivot: Pivot,
+    /// Scalar variable, an angle.
+    pub variable: String,
+}
+
+impl Declaration for RotationDeclaration {
+    type Compiled = Rotation;
+
+    fn components(&self) -> &[String] {
+        &self.components
+    }
+
+    fn pivot(&self, site: &Site, compiler: &Compiler<'_>) -> Result<Option<Vector3>, ParameterisationError> {
+        self.pivot.place(site, compiler, true).map(Some)
+    }
+
+    fn compile(&self, site: &Site, compiler: &mut Compiler<'_>) -> Result<Rotation, ParameterisationError> {
+        let axis = site.direction("axis", self.axis)?;
+        let variables = &mut compiler.variables;
+        let angle = variables.additive_scalar(&site.field("variable"), &self.variable, Dimension::Angle)?;
+        Ok(Rotation { targets: compiler.targets(site), axis, pivot: site.pivot(), angle })
+    }
+}
 
 #[derive(Clone, Debug)]
 pub(crate) struct Rotation {
-    pub(crate) targets: Vec<usize>,
+    targets: Vec<usize>,
     /// Unit vector.
-    pub(crate) axis: Vector3,
+    axis: Vector3,
     /// Index of the pivot among the points; not a target.
-    pub(crate) pivot: usize,
-    pub(crate) angle: Additive,
+    pivot: usize,
+    angle: Additive,
 }
 
 impl Rotation {
@@ -26,8 +64,10 @@ impl Rotation {
         let (k, k2) = (k.map(convert::<f64, T>), (k * k).map(convert::<f64, T>));
         (k * sin + k2 * (convert::<f64, T>(2.0) * half * half), k * cos + k2 * sin)
     }
+}
 
-    pub(crate) fn eval<T: Scalar>(&self, design: &[T], points: &mut [nalgebra::Vector3<T>]) {
+impl Operation for Rotation {
+    fn eval<T: Scalar>(&self, design: &[T], points: &mut [nalgebra::Vector3<T>]) {
         let (turn, _) = self.turn(design);
         let pivot = points[self.pivot];
         for &i in &self.targets {
@@ -36,14 +76,7 @@ impl Rotation {
         }
     }
 
-    /// `points` are those that `eval` was given.
-    pub(crate) fn jvp(
-        &self,
-        design: &[f64],
-        points: &[Vector3],
-        direction: &[f64],
-        tangents: &mut [Vector3],
-    ) {
+    fn jvp(&self, design: &[f64], points: &[Vector3], direction: &[f64], tangents: &mut [Vector3]) {
         let (turn, slope) = self.turn(design);
         let slope = slope * self.angle.jvp(direction, 0);
         let (pivot, pivot_tangent) = (points[self.pivot], tangents[self.pivot]);
@@ -53,14 +86,7 @@ impl Rotation {
         }
     }
 
-    /// Turns the seeds on the results into those on the arguments.
-    pub(crate) fn vjp(
-        &self,
-        design: &[f64],
-        points: &[Vector3],
-        seeds: &mut [Vector3],
-        gradient: &mut [f64],
-    ) {
+    fn vjp(&self, design: &[f64], points: &[Vector3], seeds: &mut [Vector3], gradient: &mut [f64]) {
         let (turn, slope) = self.turn(design);
         let pivot = points[self.pivot];
         let (mut on_angle, mut on_pivot) = (0.0, Vector3::zeros());
