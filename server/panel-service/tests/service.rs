@@ -3,9 +3,9 @@
 
 use std::sync::Arc;
 
+use moldline_host::{Code, ComputePool, PoolLimits, Principal, Role, Tenant};
 use moldline_panel::{Flow, Inputs, Options, Outputs, PanelSetup, Reference, Scalars, TrailingEdges};
 use moldline_panel_service::{AnalysisPoint, Definition, Geometry, Limits, PanelService};
-use moldline_service::{Code, ComputePool, PoolLimits, Principal, Role, Tenant};
 
 #[path = "../../panel/tests/suite/meshes.rs"]
 #[allow(dead_code, reason = "the panel crate's tests use it all")]

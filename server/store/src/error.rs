@@ -1,6 +1,8 @@
 //! Why the store does not do what it is asked to.
 
-use std::{error::Error, io};
+use std::{error::Error, io, time::Duration};
+
+use moldline_host::{Code, ServiceError};
 
 /// Why the store does not do what it is asked to. What it holds is intact, except where `Corrupt` says so.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -64,6 +66,23 @@ impl StoreError {
                 Self::ReadOnly { object, reason }
             }
             _ => Self::Unavailable { object, reason: error.to_string() },
+        }
+    }
+}
+
+impl From<StoreError> for ServiceError {
+    fn from(error: StoreError) -> Self {
+        let code = match error {
+            StoreError::Full { .. } => Code::ResourceExhausted,
+            StoreError::Corrupt { .. } => Code::Internal,
+            StoreError::ReadOnly { .. } | StoreError::Location { .. } | StoreError::Unavailable { .. } => {
+                Code::Unavailable
+            }
+        };
+        let answer = Self::new(code, error.to_string());
+        match error {
+            StoreError::Unavailable { .. } => answer.retry_after(Duration::from_secs(1)),
+            _ => answer,
         }
     }
 }
