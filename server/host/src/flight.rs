@@ -239,7 +239,7 @@ mod tests {
         assert!(flights.contains(&1), "the second one still waits");
         drop(second);
         assert!(dropped.await.is_err(), "the work's state is gone");
-        eventually(|| !flights.contains(&1)).await;
+        eventually("end of the flight", async || (!flights.contains(&1)).then_some(())).await;
         let again = flights.join(1, none, |_| async { Ok(5) }, |_| {});
         assert!(matches!(again, Joined::Started(_)));
         assert_eq!(*follower(again).wait(|_| {}).await.unwrap(), 5);

@@ -360,7 +360,7 @@ mod tests {
             let pool = Arc::clone(&pool);
             async move { pool.run(of("a"), |_| Ok(())).await }
         });
-        eventually(|| pool.load() >= 2).await;
+        eventually("second task", async || (pool.load() >= 2).then_some(())).await;
         let error = pool.run(of("a"), |_| Ok(())).await.unwrap_err();
         assert_eq!(error.code, Code::ResourceExhausted);
         assert!(error.retry_after.is_some());
@@ -380,7 +380,7 @@ mod tests {
                 pool.run(of("a"), move |ticket| {
                     started.send(()).unwrap();
                     while !ticket.cancellation().requested() {
-                        std::thread::yield_now();
+                        std::thread::sleep(Duration::from_millis(1));
                     }
                     Ok(())
                 })
@@ -393,11 +393,11 @@ mod tests {
             let (pool, ran) = (Arc::clone(&pool), Arc::clone(&ran));
             async move { pool.run(of("a"), move |_| Ok(ran.swap(true, Ordering::SeqCst))).await }
         });
-        eventually(|| pool.load() >= 2).await;
+        eventually("second task", async || (pool.load() >= 2).then_some(())).await;
         waiting.abort();
         assert!(waiting.await.unwrap_err().is_cancelled());
         running.abort();
-        eventually(|| pool.load() == 0).await;
+        eventually("idle pool", async || (pool.load() == 0).then_some(())).await;
         assert!(!ran.load(Ordering::SeqCst), "work taken out of the queue never starts");
     }
 
@@ -409,7 +409,7 @@ mod tests {
             let pool = Arc::clone(&pool);
             async move { pool.run(of("a"), move |_| blocked.recv().map_err(|_| gone())).await }
         });
-        eventually(|| pool.load() >= 1).await;
+        eventually("running task", async || (pool.load() >= 1).then_some(())).await;
         let order = Arc::new(Mutex::new(Vec::new()));
         let mut all = Vec::new();
         for (load, tenant) in (2..).zip(["a", "a", "a", "a", "b", "c", "b"]) {
@@ -421,7 +421,7 @@ mod tests {
                 };
                 pool_of.run(of(tenant), work).await.unwrap();
             }));
-            eventually(|| pool.load() >= load).await;
+            eventually("next task", async || (pool.load() >= load).then_some(())).await;
         }
         assert_eq!(pool.work(Some(&Tenant::new("b").unwrap())).len(), 2);
         assert_eq!(pool.work(None).iter().filter(|work| work.running.is_some()).count(), 1);
@@ -443,11 +443,11 @@ mod tests {
             async move { pool.run(of("a"), move |_| blocked.recv().map_err(|_| gone())).await.map(drop) }
         })];
         for (load, tenant) in [(1, "a"), (2, "b")] {
-            eventually(|| pool.load() >= load).await;
+            eventually("next task", async || (pool.load() >= load).then_some(())).await;
             let pool = Arc::clone(&pool);
             all.push(tokio::spawn(async move { pool.run(of(tenant), |_| Ok(())).await.map(drop) }));
         }
-        eventually(|| pool.load() >= 3).await;
+        eventually("third task", async || (pool.load() >= 3).then_some(())).await;
         let error = pool.run(of("a"), |_| Ok(())).await.unwrap_err();
         assert_eq!(error.code, Code::ResourceExhausted);
         release.send(()).unwrap();

@@ -53,6 +53,11 @@ pub enum Role {
 }
 
 impl Role {
+    /// The role of a name.
+    pub fn named(name: &str) -> Option<Self> {
+        [Self::Reader, Self::User, Self::Admin].into_iter().find(|role| role.name() == name)
+    }
+
     /// Its name in lower case.
     pub fn name(self) -> &'static str {
         match self {

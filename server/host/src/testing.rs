@@ -1,14 +1,15 @@
 //! Helpers of tests.
-#![allow(clippy::expect_used, reason = "helpers of tests may panic")]
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
-/// Waits until `condition` holds, 30 s at most.
-pub async fn eventually(condition: impl Fn() -> bool) {
-    let wait = async {
-        while !condition() {
-            tokio::time::sleep(Duration::from_millis(1)).await;
+/// Polls `attempt` until it returns a value, for a minute at most; `what` is the value waited for.
+pub async fn eventually<T>(what: &str, mut attempt: impl AsyncFnMut() -> Option<T>) -> T {
+    let start = Instant::now();
+    loop {
+        if let Some(value) = attempt().await {
+            return value;
         }
-    };
-    tokio::time::timeout(Duration::from_secs(30), wait).await.expect("the condition never holds");
+        assert!(start.elapsed() < Duration::from_secs(60), "no {what} within a minute");
+        tokio::time::sleep(Duration::from_millis(1)).await;
+    }
 }

@@ -93,7 +93,7 @@ pub async fn administrators(request: Request, next: Next) -> Response {
     }
 }
 
-/// The role of that name.
+/// [`Role::named`], for the binary.
 pub fn role(name: &str) -> Option<Role> {
-    [Role::Reader, Role::User, Role::Admin].into_iter().find(|role| role.name() == name)
+    Role::named(name)
 }

@@ -18,8 +18,6 @@ use tokio_rustls::{
 };
 use x509_parser::{extensions::GeneralName, prelude::FromDer};
 
-use crate::access;
-
 /// An unusable certificate or key file.
 #[derive(Debug, thiserror::Error)]
 #[error("{}: {reason}", path.display())]
@@ -97,7 +95,7 @@ pub fn principal(certificate: &CertificateDer<'_>) -> Option<Principal> {
     let (tenant, role) = match uri {
         Some(uri) => {
             let (tenant, role) = uri.split_once('/')?;
-            (tenant, access::role(role)?)
+            (tenant, Role::named(role)?)
         }
         None => (certificate.subject().iter_common_name().next()?.as_str().ok()?, Role::User),
     };

@@ -12,10 +12,8 @@ use std::{
     time::{Duration, SystemTime, UNIX_EPOCH},
 };
 
-use moldline_host::{Principal, Tenant};
+use moldline_host::{Principal, Role, Tenant};
 use serde::{Deserialize, Serialize};
-
-use crate::access::role;
 
 const PREFIX: &str = "moldline_";
 const FORMAT: u32 = 1;
@@ -158,7 +156,7 @@ impl TokenFile {
             let hash = blake3::Hash::from_hex(&token.hash)
                 .map_err(|error| content(format!("hash of token `{}`: {error}", token.id)))?;
             let tenant = Tenant::new(&token.tenant).map_err(|error| content(error.to_string()))?;
-            let role = role(&token.role)
+            let role = Role::named(&token.role)
                 .ok_or_else(|| content(format!("role `{}` of token `{}`", token.role, token.id)))?;
             tokens.push((hash, token.expires, Principal { tenant, role }));
         }
@@ -281,8 +279,6 @@ fn file_error(path: &Path, error: io::Error) -> TokenFileError {
 
 #[cfg(test)]
 mod tests {
-    use moldline_host::Role;
-
     use super::*;
 
     fn principal(tenant: &str, role: Role) -> Principal {
