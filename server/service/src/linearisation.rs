@@ -1,7 +1,7 @@
 //! A requested design, its linearisation, and products with it.
 //!
-//! The outputs are functions of the control points, and these of the design; components whose control points were given
-//! do not depend on the design. Both parts are linearised at once, so that one linearisation serves both kinds of inputs.
+//! The outputs are functions of the control points, and these of the design, except for components with given control
+//! points. Both parts are linearised at once, so that one linearisation serves both kinds of inputs.
 
 use std::{collections::BTreeMap, sync::Arc};
 
@@ -235,7 +235,7 @@ impl Linearised {
         Ok(self.engine.jvp_control_points(&all)?)
     }
 
-    /// Gradients by what is wanted.
+    /// Gradients with respect to the requested inputs.
     pub(crate) fn vjp(&self, seeds: &[Tangent], wanted: &CheckedWanted) -> Result<Gradients, ServiceError> {
         let parameterisation = self.engine.setup().parameterisation();
         let mut all: Vec<ControlPoints> =
@@ -254,7 +254,7 @@ impl Linearised {
         Ok(Gradients { design, control_points })
     }
 
-    /// Cuts the way from the design to components whose control points were given.
+    /// Zeroes components with given control points, which do not depend on the design.
     fn forget_given(&self, all: &mut [ControlPoints]) {
         for points in all {
             self.given.iter().for_each(|&component| points[component].fill([0.0; 3]));

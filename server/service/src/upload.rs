@@ -7,7 +7,7 @@ use moldline_setup::ArchiveKind;
 
 use crate::{access::Visibility, limits::Limits};
 
-/// Header of an upload: what its bytes will be.
+/// Header of an upload: its description, sent before its bytes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct UploadHeader {
     /// Chosen by the client to identify retries; may be empty.
