@@ -13,7 +13,7 @@ use moldline_mesh::{
     CellQuality, SurfaceMesh,
     io::vtu::{self, Array, Values},
 };
-use moldline_service::{Cancellation, Reporter, ServiceError};
+use moldline_service::{Cancellation, ServiceError, reporter};
 use moldline_setup::{ArchiveKind, Files, Limits, SetupFileError, read_folder, read_setup, unpack};
 
 use crate::{
@@ -143,7 +143,7 @@ fn with_bar<T, E: Into<ServiceError>>(
     work: impl FnOnce(&dyn Monitor<Stage>) -> Result<T, E>,
 ) -> Result<T, Failure> {
     let bar = Bar::new();
-    let monitor = Reporter::new(Cancellation::default(), |progress| bar.show(&progress));
+    let monitor = reporter(Cancellation::default(), |progress| bar.show(&progress));
     work(&monitor).map_err(|error| Failure::Refused(error.into()))
 }
 

@@ -1,5 +1,6 @@
 //! Typed errors; `field` is the path in the declaration, e.g. `operations[2].sections[0].variable`.
 
+use moldline_foundation::Failure;
 use moldline_spline::KnotError;
 
 use crate::unit::{Dimension, Unit};
@@ -244,4 +245,49 @@ pub enum DesignError {
 
 fn suggestion(nearest: &Option<String>) -> String {
     nearest.as_ref().map_or_else(String::new, |name| format!("; did you mean '{name}'?"))
+}
+
+/// Paths in a set-up, of which the declaration is the part `parameterisation` and the control points are in `components`.
+impl Failure for ParameterisationError {
+    fn field(&self) -> Option<String> {
+        let field = match self {
+            Self::PatchSize { component, patch, .. } => {
+                return Some(format!("components[{component}].patches[{patch}]"));
+            }
+            Self::NotFinite { field, .. }
+            | Self::DuplicateName { field, .. }
+            | Self::UnknownName { field, .. }
+            | Self::Empty { field }
+            | Self::WrongUnit { field, .. }
+            | Self::WrongShape { field, .. }
+            | Self::NeedsBaseline { field, .. }
+            | Self::BaselineNotPositive { field, .. }
+            | Self::OutOfRange { field, .. }
+            | Self::Knots { field, .. }
+            | Self::Geometry { field, .. } => field.clone(),
+            Self::UnusedVariable { index, .. } | Self::BaselineOutsideBounds { index, .. } => {
+                format!("variables[{index}]")
+            }
+        };
+        Some(format!("parameterisation.{field}"))
+    }
+}
+
+impl Failure for DesignError {
+    fn field(&self) -> Option<String> {
+        Some(match self {
+            Self::Length { .. } => "design".to_owned(),
+            Self::NotFinite { index, .. }
+            | Self::OutOfBounds { index, .. }
+            | Self::NotPositive { index, .. } => {
+                format!("design[{index}]")
+            }
+            Self::UnknownName { name, .. } => format!("design[\"{name}\"]"),
+            Self::OverrideSize { component, .. } => format!("control_points[{component}]"),
+            Self::OverrideNotFinite { component, index, axis, .. } => {
+                format!("control_points[{component}][{index}][{axis}]")
+            }
+            Self::VectorLength { what, .. } => what.clone(),
+        })
+    }
 }

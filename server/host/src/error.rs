@@ -1,38 +1,40 @@
-//! One error type for all transports: what class of failure, what exactly, and what to do about it.
+//! The error type of all services: class of the failure, its cause, and the way out.
 
 use std::{fmt, time::Duration};
 
-/// The class of a failure. Each transport maps it to its own codes in one place.
+use moldline_foundation::{Class, Failure};
+
+/// The class of an error. Each transport maps it to its own codes in one place.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Code {
     /// The request is wrong whatever the state of the service.
     InvalidArgument,
-    /// The set-up or session does not exist.
+    /// The named object does not exist.
     NotFound,
-    /// A request id was used before with other content.
+    /// The request id was used before with other content.
     AlreadyExists,
-    /// Somebody else was faster: read again, then decide again.
+    /// Another request came first: read again, then decide again.
     Aborted,
-    /// The caller's role does not allow it. Never said of what the caller may not see: that is `NotFound`.
+    /// The caller's role does not allow it. Objects that the caller may not see are `NotFound` instead.
     PermissionDenied,
-    /// Nobody knows who calls.
+    /// The caller is unknown.
     Unauthenticated,
-    /// Valid, but the engine cannot do it from here: a seam is lost, a projection does not converge.
+    /// The request is valid, but the engine fails on it: a seam is lost, a projection does not converge.
     FailedPrecondition,
-    /// The service is full; later it may not be.
+    /// The service is full; retrying later may help.
     ResourceExhausted,
-    /// The service ends, or its store cannot be reached or written to; later or elsewhere it may work.
+    /// The service is stopping, or its store cannot be reached or written to; retrying later or elsewhere may help.
     Unavailable,
     /// The caller's deadline has passed.
     DeadlineExceeded,
-    /// The caller went away.
+    /// The caller disconnected.
     Cancelled,
     /// A fault of the service.
     Internal,
 }
 
 impl Code {
-    /// A word in upper snake case, the same for all transports.
+    /// Its name in upper snake case, the same for all transports.
     pub fn name(self) -> &'static str {
         match self {
             Self::InvalidArgument => "INVALID_ARGUMENT",
@@ -51,25 +53,25 @@ impl Code {
     }
 }
 
-/// One fault in a request.
+/// An invalid field of a request.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Violation {
     /// Path of the field, such as `design[3]` or `mesh.cells[312][2]`.
     pub field: String,
-    /// What is wrong with it: index, value, limit and the way out.
+    /// The fault: index, value, limit and the way out.
     pub description: String,
 }
 
-/// A failure as the caller sees it.
+/// An error as the caller sees it.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub struct ServiceError {
     /// Its class.
     pub code: Code,
-    /// The whole story in one sentence.
+    /// Cause and way out in one sentence.
     pub message: String,
-    /// The faults of the request, if it is one's fault.
+    /// The invalid fields, if the request is at fault.
     pub violations: Vec<Violation>,
-    /// When to try again, if that may help.
+    /// Delay before a retry, if one may help.
     pub retry_after: Option<Duration>,
 }
 
@@ -85,23 +87,23 @@ impl ServiceError {
         Self { code, message: message.into(), violations: Vec::new(), retry_after: None }
     }
 
-    /// `field` of the request is wrong as `description` says.
+    /// An `InvalidArgument`: `field` of the request is invalid for the reason in `description`.
     pub fn invalid(field: impl Into<String>, description: impl Into<String>) -> Self {
         Self::new(Code::InvalidArgument, "").at(field, description)
     }
 
-    /// There is no `kind` of that id.
+    /// A `NotFound`: there is no `kind` of that id.
     pub fn not_found(kind: &str, id: &str) -> Self {
         let field = format!("{kind}_id");
         Self::new(Code::NotFound, "").at(field, format!("there is no {kind} `{}`", shorten(id)))
     }
 
-    /// Adds a violation; it becomes the message if there is none yet.
+    /// Adds a violation, which also becomes the message if there is none yet.
     #[must_use]
     pub fn at(mut self, field: impl Into<String>, description: impl Into<String>) -> Self {
         let (field, description) = (field.into(), description.into());
         if self.message.is_empty() {
-            // Descriptions of the engine begin with the field already.
+            // The engine's descriptions often begin with the field already.
             self.message = if description.starts_with(&field) {
                 description.clone()
             } else {
@@ -114,14 +116,14 @@ impl ServiceError {
 
     /// Puts the fields of all violations below `field`.
     #[must_use]
-    pub(crate) fn within(mut self, field: &str) -> Self {
+    pub fn within(mut self, field: &str) -> Self {
         self.violations
             .iter_mut()
             .for_each(|violation| violation.field = format!("{field}.{}", violation.field));
         self
     }
 
-    /// Names the time after which trying again may help.
+    /// Sets the delay before a retry.
     #[must_use]
     pub fn retry_after(mut self, delay: Duration) -> Self {
         self.retry_after = Some(delay);
@@ -129,11 +131,65 @@ impl ServiceError {
     }
 }
 
-/// `text`, cut where it is too long to be repeated in an error.
-pub(crate) fn shorten(text: &str) -> String {
+/// Errors of the engine keep their own text, which names field, index, value and limit.
+impl<E: Failure> From<E> for ServiceError {
+    fn from(error: E) -> Self {
+        let code = match error.class() {
+            Class::Input => Code::InvalidArgument,
+            Class::Computation => Code::FailedPrecondition,
+            Class::Memory => Code::ResourceExhausted,
+            Class::Cancelled => Code::Cancelled,
+        };
+        let text = error.to_string();
+        match error.field() {
+            Some(field) => Self::new(code, "").at(field, text),
+            None => Self::new(code, text),
+        }
+    }
+}
+
+/// `text`, truncated if it is too long to be repeated in an error.
+pub fn shorten(text: &str) -> String {
     const LONGEST: usize = 80;
     match text.char_indices().nth(LONGEST) {
         Some((end, _)) => format!("{}...", &text[..end]),
         None => text.to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[derive(Debug, thiserror::Error)]
+    enum EngineError {
+        #[error("design[3] = NaN is not finite")]
+        Design,
+        #[error("cancelled")]
+        Cancelled,
+    }
+
+    impl Failure for EngineError {
+        fn class(&self) -> Class {
+            match self {
+                Self::Design => Class::Input,
+                Self::Cancelled => Class::Cancelled,
+            }
+        }
+
+        fn field(&self) -> Option<String> {
+            matches!(self, Self::Design).then(|| "design[3]".to_owned())
+        }
+    }
+
+    #[test]
+    fn errors_of_an_engine_keep_class_field_and_text() {
+        let error = ServiceError::from(EngineError::Design);
+        assert_eq!(error, ServiceError::invalid("design[3]", "design[3] = NaN is not finite"));
+        assert_eq!(error.message, "design[3] = NaN is not finite");
+        assert_eq!(
+            ServiceError::from(EngineError::Cancelled),
+            ServiceError::new(Code::Cancelled, "cancelled")
+        );
     }
 }

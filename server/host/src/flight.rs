@@ -1,4 +1,4 @@
-//! Single flight: of all who ask for the same thing, one's work is done and all get its result.
+//! Single flight: concurrent requests for the same result share one computation.
 
 use std::{
     collections::HashMap,
@@ -13,7 +13,7 @@ use crate::{
     progress::Progress,
 };
 
-/// What has happened in a flight so far.
+/// Progress and outcome of a computation so far.
 #[derive(Debug)]
 struct Log<T> {
     steps: Vec<Progress>,
@@ -26,7 +26,7 @@ impl<T> Default for Log<T> {
     }
 }
 
-/// Where the work tells its progress.
+/// The channel for progress reports of a computation.
 #[derive(Debug)]
 pub struct Reports<T>(watch::Sender<Log<T>>);
 
@@ -37,13 +37,13 @@ impl<T> Clone for Reports<T> {
 }
 
 impl<T> Reports<T> {
-    /// Tells all who follow.
+    /// Reports to all followers.
     pub fn tell(&self, progress: Progress) {
         self.0.send_modify(|log| log.steps.push(progress));
     }
 }
 
-/// Flights by key. What has landed is not kept here.
+/// Computations in progress, by key; results are cached elsewhere.
 #[derive(Debug)]
 pub struct Flights<K, T>(Arc<Mutex<HashMap<K, Reports<T>>>>);
 
@@ -54,14 +54,14 @@ impl<K, T> Default for Flights<K, T> {
 }
 
 impl<K: Eq + Hash + Clone + Send + 'static, T: Send + Sync + 'static> Flights<K, T> {
-    /// Follows the flight of `key`; or, if there is none, takes what `find` knows has landed; or starts `work`, which
-    /// is dropped when nobody follows any more. `land` keeps the result where `find` looks.
+    /// Joins the computation of `key` if it is in progress; otherwise takes the result that `find` returns; otherwise starts
+    /// `work`, which is dropped once nobody follows it. `keep` caches the result where `find` looks.
     pub fn join<W>(
         &self,
         key: K,
         find: impl FnOnce() -> Option<Arc<T>>,
         work: impl FnOnce(Reports<T>) -> W,
-        land: impl FnOnce(&Arc<T>) + Send + 'static,
+        keep: impl FnOnce(&Arc<T>) + Send + 'static,
     ) -> Joined<T>
     where
         W: Future<Output = Result<T, ServiceError>> + Send + 'static,
@@ -70,7 +70,7 @@ impl<K: Eq + Hash + Clone + Send + 'static, T: Send + Sync + 'static> Flights<K,
         if let Some(reports) = flights.get(&key) {
             return Joined::Following(Follower { log: reports.0.subscribe(), seen: 0 });
         }
-        // A flight ends after its result is kept: what is in neither place has not been done.
+        // A result is cached before its flight ends: what is in neither place has not been computed.
         if let Some(found) = find() {
             return Joined::Found(found);
         }
@@ -78,7 +78,7 @@ impl<K: Eq + Hash + Clone + Send + 'static, T: Send + Sync + 'static> Flights<K,
         let reports = Reports(sender);
         flights.insert(key.clone(), reports.clone());
         let work = work(reports.clone());
-        tokio::spawn(Self(Arc::clone(&self.0)).fly(key, reports, work, land));
+        tokio::spawn(Self(Arc::clone(&self.0)).fly(key, reports, work, keep));
         Joined::Started(Follower { log, seen: 0 })
     }
 
@@ -87,7 +87,7 @@ impl<K: Eq + Hash + Clone + Send + 'static, T: Send + Sync + 'static> Flights<K,
         self.lock().contains_key(key)
     }
 
-    async fn fly<W>(self, key: K, reports: Reports<T>, work: W, land: impl FnOnce(&Arc<T>))
+    async fn fly<W>(self, key: K, reports: Reports<T>, work: W, keep: impl FnOnce(&Arc<T>))
     where
         W: Future<Output = Result<T, ServiceError>>,
     {
@@ -96,7 +96,7 @@ impl<K: Eq + Hash + Clone + Send + 'static, T: Send + Sync + 'static> Flights<K,
             tokio::select! {
                 outcome = &mut work => break outcome.map(Arc::new),
                 () = reports.0.closed() => {
-                    // Whoever joins does so under the lock: if there is nobody now, nobody will come.
+                    // Joining takes the lock: a flight without followers under the lock stays without.
                     let mut flights = self.lock();
                     if reports.0.is_closed() {
                         flights.remove(&key);
@@ -106,7 +106,7 @@ impl<K: Eq + Hash + Clone + Send + 'static, T: Send + Sync + 'static> Flights<K,
             }
         };
         if let Ok(value) = &outcome {
-            land(value);
+            keep(value);
         }
         self.lock().remove(&key);
         reports.0.send_modify(|log| log.outcome = Some(outcome));
@@ -117,18 +117,18 @@ impl<K: Eq + Hash + Clone + Send + 'static, T: Send + Sync + 'static> Flights<K,
     }
 }
 
-/// What [`Flights::join`] came upon.
+/// What [`Flights::join`] found.
 #[derive(Debug)]
 pub enum Joined<T> {
-    /// It had landed.
+    /// The result.
     Found(Arc<T>),
-    /// It was in flight.
+    /// The computation in progress.
     Following(Follower<T>),
-    /// This call started it.
+    /// Nothing: this call started the computation.
     Started(Follower<T>),
 }
 
-/// One who waits for a flight.
+/// A request that waits for a computation.
 #[derive(Debug)]
 pub struct Follower<T> {
     log: watch::Receiver<Log<T>>,
@@ -136,11 +136,11 @@ pub struct Follower<T> {
 }
 
 impl<T> Follower<T> {
-    /// Passes every step on to `tell`, those before it joined first, and returns the result.
+    /// Passes every report on to `tell`, those from before it joined first, and returns the result.
     ///
     /// # Errors
-    /// The work's own error.
-    pub async fn land(mut self, mut tell: impl FnMut(Progress)) -> Result<Arc<T>, ServiceError> {
+    /// The error of the computation.
+    pub async fn wait(mut self, mut tell: impl FnMut(Progress)) -> Result<Arc<T>, ServiceError> {
         loop {
             let (news, outcome) = {
                 let log = self.log.borrow_and_update();
@@ -165,6 +165,7 @@ mod tests {
     use tokio::sync::oneshot;
 
     use super::*;
+    use crate::testing::eventually;
 
     fn none() -> Option<Arc<u32>> {
         None
@@ -172,7 +173,7 @@ mod tests {
 
     fn follower(joined: Joined<u32>) -> Follower<u32> {
         match joined {
-            Joined::Found(_) => panic!("nothing has landed"),
+            Joined::Found(_) => panic!("nothing is cached"),
             Joined::Following(follower) | Joined::Started(follower) => follower,
         }
     }
@@ -182,11 +183,11 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn two_who_ask_share_one_piece_of_work_and_see_all_its_steps() {
+    async fn two_requests_share_one_computation_and_see_all_its_steps() {
         let flights = Flights::<u32, u32>::default();
-        let landings = Arc::new(AtomicUsize::new(0));
+        let results = Arc::new(AtomicUsize::new(0));
         let (release, blocked) = oneshot::channel::<()>();
-        let counter = Arc::clone(&landings);
+        let counter = Arc::clone(&results);
         let first = flights.join(
             1,
             none,
@@ -207,18 +208,18 @@ mod tests {
         release.send(()).unwrap();
         let (mut of_first, mut of_second) = (Vec::new(), Vec::new());
         let (a, b) = tokio::join!(
-            follower(first).land(|progress| of_first.push(progress.fraction)),
-            follower(second).land(|progress| of_second.push(progress.fraction))
+            follower(first).wait(|progress| of_first.push(progress.fraction)),
+            follower(second).wait(|progress| of_second.push(progress.fraction))
         );
         assert!(Arc::ptr_eq(&a.unwrap(), &b.unwrap()));
         assert_eq!(of_first, [0.0, 1.0]);
         assert_eq!(of_second, [0.0, 1.0]);
-        assert_eq!(landings.load(Ordering::SeqCst), 1);
+        assert_eq!(results.load(Ordering::SeqCst), 1);
         assert!(!flights.contains(&1));
     }
 
     #[tokio::test]
-    async fn work_that_nobody_follows_is_dropped_and_can_be_started_again() {
+    async fn work_without_followers_is_dropped_and_can_be_started_again() {
         let flights = Flights::<u32, u32>::default();
         let (held, dropped) = oneshot::channel::<()>();
         let first = flights.join(
@@ -238,31 +239,29 @@ mod tests {
         assert!(flights.contains(&1), "the second one still waits");
         drop(second);
         assert!(dropped.await.is_err(), "the work's state is gone");
-        while flights.contains(&1) {
-            tokio::task::yield_now().await;
-        }
+        eventually("end of the flight", async || (!flights.contains(&1)).then_some(())).await;
         let again = flights.join(1, none, |_| async { Ok(5) }, |_| {});
         assert!(matches!(again, Joined::Started(_)));
-        assert_eq!(*follower(again).land(|_| {}).await.unwrap(), 5);
+        assert_eq!(*follower(again).wait(|_| {}).await.unwrap(), 5);
     }
 
     #[tokio::test]
-    async fn an_error_reaches_all_and_is_not_remembered() {
+    async fn an_error_reaches_all_followers_and_is_not_cached() {
         let flights = Flights::<u32, u32>::default();
-        let refuse = |_| async { Err(ServiceError::invalid("mesh", "is empty")) };
-        let first = flights.join(1, none, refuse, |_| {});
-        let second = flights.join(1, none, refuse, |_| {});
+        let fail = |_| async { Err(ServiceError::invalid("mesh", "is empty")) };
+        let first = flights.join(1, none, fail, |_| {});
+        let second = flights.join(1, none, fail, |_| {});
         assert_eq!(
-            follower(first).land(|_| {}).await.unwrap_err(),
-            follower(second).land(|_| {}).await.unwrap_err()
+            follower(first).wait(|_| {}).await.unwrap_err(),
+            follower(second).wait(|_| {}).await.unwrap_err()
         );
         let third = flights.join(1, none, |_| async { Ok(1) }, |_| {});
         assert!(matches!(third, Joined::Started(_)));
-        assert_eq!(*follower(third).land(|_| {}).await.unwrap(), 1);
+        assert_eq!(*follower(third).wait(|_| {}).await.unwrap(), 1);
     }
 
     #[tokio::test]
-    async fn what_has_landed_is_found() {
+    async fn a_cached_result_is_found() {
         let flights = Flights::<u32, u32>::default();
         let joined = flights.join(1, || Some(Arc::new(3)), |_| async { panic!("it is there") }, |_| {});
         assert!(matches!(joined, Joined::Found(value) if *value == 3));

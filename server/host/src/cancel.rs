@@ -1,4 +1,4 @@
-//! Whether anybody still waits for a piece of work.
+//! Cancellation of work whose caller has gone.
 
 use std::sync::{
     Arc,
@@ -10,14 +10,14 @@ use std::sync::{
 pub struct Cancellation(Arc<AtomicBool>);
 
 impl Cancellation {
-    /// Whether the work may stop, since nobody waits for it.
+    /// Whether the work should stop, since its caller no longer waits for it.
     pub fn requested(&self) -> bool {
         self.0.load(Ordering::Relaxed)
     }
 }
 
-/// Held by a caller while it waits. A transport drops the waiting future when its client goes away or the deadline
-/// passes, and this with it.
+/// A caller's interest in work, held while it waits. A transport drops the waiting future, and this with it, when its client
+/// disconnects or the deadline passes.
 #[derive(Debug, Default)]
 pub struct Interest(Cancellation);
 

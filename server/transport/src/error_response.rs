@@ -1,4 +1,4 @@
-//! An error on the wire: a gRPC status with google.rpc details, or a problem document (RFC 9457) over HTTP.
+//! Errors on the wire: a gRPC status with google.rpc details, or a problem document (RFC 9457) over HTTP.
 
 use std::collections::HashMap;
 
@@ -7,7 +7,7 @@ use axum::{
     http::{HeaderMap, HeaderValue, StatusCode, header},
     response::{IntoResponse, Response},
 };
-use moldline_service::{Code, ServiceError};
+use moldline_host::{Code, ServiceError};
 use serde::Serialize;
 use tonic::Status;
 use tonic_types::{ErrorDetails, StatusExt};
@@ -15,10 +15,10 @@ use utoipa::ToSchema;
 
 use crate::code::codes;
 
-/// Names whose errors these are in google.rpc.ErrorInfo and in the type of a problem.
+/// The error domain in google.rpc.ErrorInfo and in the type of a problem.
 const DOMAIN: &str = "moldline";
 
-/// The gRPC status for an error.
+/// The gRPC status of an error.
 pub fn status(error: ServiceError) -> Status {
     log(&error);
     let mut details = ErrorDetails::new();
@@ -32,25 +32,25 @@ pub fn status(error: ServiceError) -> Status {
     Status::with_error_details(codes(error.code).0, error.message, details)
 }
 
-/// This is where errors are logged: faults of the service as errors, others for debugging.
+/// Logs an error: faults of the service at level `error`, others at level `debug`.
 fn log(error: &ServiceError) {
     match error.code {
         Code::Internal => tracing::error!(%error, "request failed"),
-        _ => tracing::debug!(%error, "request refused"),
+        _ => tracing::debug!(%error, "request rejected"),
     }
 }
 
-/// An error over HTTP. Its status is that of its code unless the protocol has a closer word.
+/// An error over HTTP, with the status of its code or a more specific one.
 #[derive(Debug)]
-pub struct Refusal {
+pub struct ErrorResponse {
     error: ServiceError,
     status: StatusCode,
 }
 
 /// A handler's answer over HTTP.
-pub type Answer<T> = Result<T, Refusal>;
+pub type Answer<T> = Result<T, ErrorResponse>;
 
-/// What a client reads of an error: a problem document as RFC 9457 has it.
+/// An error as a problem document (RFC 9457).
 #[derive(Debug, Serialize, ToSchema)]
 #[schema(example = json!({
     "type": "urn:moldline:error:INVALID_ARGUMENT", "title": "Bad Request", "status": 400,
@@ -64,29 +64,29 @@ pub struct Problem {
     title: String,
     /// The HTTP status.
     status: u16,
-    /// The whole story in one sentence.
+    /// Cause and way out in one sentence.
     detail: String,
     /// The class of the error, the same as over gRPC, such as `INVALID_ARGUMENT`.
     code: &'static str,
-    /// The faults of the request, if it is one's fault.
+    /// The invalid fields, if the request is at fault.
     violations: Vec<FieldViolation>,
-    /// Seconds after which to try again, if that may help; also in the header `Retry-After`.
+    /// Seconds to wait before a retry, if one may help; also in the header `Retry-After`.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false)]
     retry_after_seconds: Option<f64>,
 }
 
-/// One fault of a request.
+/// An invalid field of a request.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct FieldViolation {
     /// Path of the field, such as `design[3]`.
     field: String,
-    /// What is wrong with it.
+    /// The fault: value, limit and the way out.
     description: String,
 }
 
-impl Refusal {
-    /// `error` with an HTTP status of its own.
+impl ErrorResponse {
+    /// `error` with a specific HTTP status.
     pub fn with(status: StatusCode, error: ServiceError) -> Self {
         Self { error, status }
     }
@@ -110,13 +110,13 @@ impl Refusal {
     }
 }
 
-impl From<ServiceError> for Refusal {
+impl From<ServiceError> for ErrorResponse {
     fn from(error: ServiceError) -> Self {
         Self { status: codes(error.code).1, error }
     }
 }
 
-impl IntoResponse for Refusal {
+impl IntoResponse for ErrorResponse {
     fn into_response(self) -> Response {
         log(&self.error);
         let body = serde_json::to_vec(&self.problem()).unwrap_or_default();
@@ -140,11 +140,11 @@ pub fn is_grpc(headers: &HeaderMap) -> bool {
     headers.get(header::CONTENT_TYPE).is_some_and(|kind| kind.as_bytes().starts_with(b"application/grpc"))
 }
 
-/// The refusal of a request before anything has looked into it, in the words of its protocol.
-pub fn refuse(grpc: bool, error: ServiceError) -> Response {
+/// The error response to a request that no handler has seen, for its protocol.
+pub fn reject(grpc: bool, error: ServiceError) -> Response {
     match grpc {
         true => status(error).into_http(),
-        false => Refusal::from(error).into_response(),
+        false => ErrorResponse::from(error).into_response(),
     }
 }
 
@@ -174,10 +174,10 @@ mod tests {
     }
 
     #[test]
-    fn a_problem_says_the_same() {
-        let refusal = Refusal::from(error());
+    fn a_problem_has_the_same_content() {
+        let response = ErrorResponse::from(error());
         assert_eq!(
-            serde_json::to_value(refusal.problem()).unwrap(),
+            serde_json::to_value(response.problem()).unwrap(),
             serde_json::json!({
                 "type": "urn:moldline:error:INVALID_ARGUMENT", "title": "Bad Request", "status": 400,
                 "detail": "design[3] = NaN is not finite", "code": "INVALID_ARGUMENT",
@@ -185,7 +185,7 @@ mod tests {
                 "retry_after_seconds": 1.5,
             })
         );
-        let response = refusal.into_response();
+        let response = response.into_response();
         assert_eq!(response.headers()[header::CONTENT_TYPE], "application/problem+json");
         // Whole seconds, and never too early.
         assert_eq!(response.headers()[header::RETRY_AFTER], "2");
@@ -198,7 +198,7 @@ mod tests {
         {
             assert_eq!(grpc_name(codes(code).0), code.name());
         }
-        let unauthenticated = refuse(false, ServiceError::new(Code::Unauthenticated, "who?"));
+        let unauthenticated = reject(false, ServiceError::new(Code::Unauthenticated, "who?"));
         assert_eq!(unauthenticated.headers()[header::WWW_AUTHENTICATE], "Bearer");
     }
 }

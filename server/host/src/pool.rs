@@ -1,6 +1,6 @@
-//! The one place where the engine computes: a bounded rayon pool with a bounded queue before it.
+//! The compute pool: a bounded rayon pool behind a bounded, fair queue.
 //!
-//! Nothing heavy runs on the async runtime's threads, and no request makes threads of its own.
+//! Nothing heavy runs on the async runtime's threads, and no request starts threads of its own.
 
 use std::{
     collections::{BTreeMap, HashMap},
@@ -16,67 +16,66 @@ use crate::{
     error::{Code, ServiceError},
     principal::Tenant,
     progress::Progress,
-    status::Work,
 };
 
-/// How much computes at a time.
+/// Sizes of pool and queue.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PoolLimits {
-    /// Threads of the pool. Results do not depend on it.
+    /// Threads of the pool. Results do not depend on their number.
     pub threads: usize,
-    /// Engine calls that share the threads at a time.
+    /// Tasks that share the threads at a time.
     pub running: usize,
-    /// Engine calls that wait for their turn; beyond it callers are turned away.
+    /// Tasks that wait for their turn; more are rejected.
     pub queued: usize,
 }
 
-/// What a piece of work gave, and when.
+/// The result of a task, and its times.
 #[derive(Debug)]
 pub struct Completed<T> {
     /// The result.
     pub value: T,
-    /// From the call until a thread started on it.
+    /// From the call until a thread started it.
     pub queued: Duration,
-    /// From then to the end.
+    /// From then until the end.
     pub ran: Duration,
 }
 
-/// Whose a piece of work is, and what it is: for the queue and for those who watch it.
+/// Owner and kind of a task, for the queue and for status reports.
 #[derive(Clone, Debug)]
 pub struct Task {
     /// Such as `build` or `deform`.
     pub kind: &'static str,
-    /// Whose.
+    /// Its owner.
     pub tenant: Tenant,
-    /// On which set-up, where that is known.
+    /// Id of the set-up or configuration, if known.
     pub setup: Option<String>,
-    /// In which session, if in any.
+    /// Id of the session, if there is one.
     pub session: Option<String>,
 }
 
-/// A pool of threads behind a fair queue: tenants take turns, and of one tenant the first comes first.
+/// A pool of threads behind a fair queue: tenants take turns, and the tasks of one tenant run in order of arrival.
 #[derive(Debug)]
 pub struct ComputePool {
     threads: rayon::ThreadPool,
     queue: Arc<Queue>,
 }
 
-/// Who computes and who waits.
+/// Running and waiting tasks.
 #[derive(Debug)]
 struct Queue {
     limits: PoolLimits,
-    /// Places of one tenant at most.
+    /// Most tasks of one tenant.
     of_tenant: usize,
     state: Mutex<State>,
 }
 
 #[derive(Debug, Default)]
 struct State {
-    /// All that run or wait, by number of arrival.
+    /// Running and waiting tasks, in order of arrival.
     places: BTreeMap<u64, Entry>,
     arrivals: u64,
     running: usize,
-    /// When each tenant was served last.
+    /// Turn in which each tenant was last served.
     served: HashMap<Tenant, u64>,
     turns: u64,
 }
@@ -85,20 +84,41 @@ struct State {
 struct Entry {
     task: Task,
     arrival: Instant,
-    /// `None` once it runs.
+    /// Starts the task; `None` once it runs.
     call: Option<oneshot::Sender<()>>,
     start: Option<Instant>,
     stage: Option<(&'static str, f64)>,
 }
 
-/// A place in the queue, then among those that run; free when this is dropped.
+/// Status of a task.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Work {
+    /// Such as `build`, `deform`, `jvp`.
+    pub kind: &'static str,
+    /// Its owner.
+    pub tenant: Tenant,
+    /// Id of the set-up or configuration, if known.
+    pub setup: Option<String>,
+    /// Id of the session, if there is one.
+    pub session: Option<String>,
+    /// Time since its arrival.
+    pub age: Duration,
+    /// Time since its start; `None` while it waits.
+    pub running: Option<Duration>,
+    /// The current stage, if known.
+    pub stage: Option<&'static str>,
+    /// Share of the stage that is done, 0 to 1.
+    pub fraction: f64,
+}
+
+/// A place in the queue, later among the running tasks; free when this is dropped.
 #[derive(Debug)]
 struct Place {
     queue: Arc<Queue>,
     number: u64,
 }
 
-/// What work on the pool is handed: whether it is still wanted, and where to tell how far it is.
+/// Passed to a task on the pool: its cancellation flag, and a channel for progress.
 #[derive(Debug)]
 pub struct Ticket {
     cancellation: Cancellation,
@@ -106,12 +126,12 @@ pub struct Ticket {
 }
 
 impl Ticket {
-    /// Whether anybody still waits for the work.
+    /// The flag that is set when the caller no longer waits.
     pub fn cancellation(&self) -> &Cancellation {
         &self.cancellation
     }
 
-    /// Tells those who watch how far the work is.
+    /// Records progress for [`ComputePool::work`].
     pub fn progress(&self, progress: &Progress) {
         if let Some(entry) = self.place.queue.lock().places.get_mut(&self.place.number) {
             entry.stage = Some((progress.stage, progress.fraction));
@@ -120,10 +140,10 @@ impl Ticket {
 }
 
 impl ComputePool {
-    /// Starts the threads. `of_tenant`: how many of one tenant may run and wait.
+    /// Starts the threads. `of_tenant`: most running and waiting tasks of one tenant.
     ///
     /// # Errors
-    /// If the operating system gives no threads.
+    /// If the operating system cannot start the threads.
     pub fn new(limits: PoolLimits, of_tenant: usize) -> Result<Self, rayon::ThreadPoolBuildError> {
         let threads = rayon::ThreadPoolBuilder::new()
             .num_threads(limits.threads)
@@ -133,8 +153,8 @@ impl ComputePool {
         Ok(Self { threads, queue: Arc::new(Queue { limits, of_tenant, state: Mutex::default() }) })
     }
 
-    /// Runs `work` on the pool when its turn comes. Dropping the future takes it out of the queue or, once it runs, sets
-    /// the flag given to it; its place is free when it has really ended.
+    /// Runs `work` on the pool when its turn comes. Dropping the future removes it from the queue or, once it runs, sets its
+    /// cancellation flag; the place is free when the work has actually ended.
     ///
     /// # Errors
     /// `ResourceExhausted` if the queue or the tenant's share of it is full, `Internal` if `work` panics, and what `work`
@@ -153,7 +173,7 @@ impl ComputePool {
         let (sender, receiver) = oneshot::channel();
         self.threads.spawn_fifo(move || {
             let start = Instant::now();
-            // Nothing the closure may have left half done is used again: it owns what it changes.
+            // The closure owns what it changes: nothing that it leaves half done is used again.
             let outcome = catch_unwind(AssertUnwindSafe(|| work(&ticket))).unwrap_or_else(|panic| {
                 tracing::error!(panic = panic_text(&*panic), "engine call panicked");
                 Err(ServiceError::new(
@@ -164,7 +184,7 @@ impl ComputePool {
             let completed =
                 outcome.map(|value| Completed { value, queued: start - arrival, ran: start.elapsed() });
             drop(ticket);
-            // Nobody receives it if the caller has gone.
+            // There is no receiver if the caller has gone.
             let _ = sender.send(completed);
         });
         let completed = receiver.await.map_err(|_| gone())?;
@@ -172,17 +192,17 @@ impl ComputePool {
         completed
     }
 
-    /// How much computes at a time.
+    /// The sizes in force.
     pub fn limits(&self) -> PoolLimits {
         self.queue.limits
     }
 
-    /// Engine calls that run or wait.
+    /// Number of running and waiting tasks.
     pub fn load(&self) -> usize {
         self.queue.lock().places.len()
     }
 
-    /// What runs and waits, longest first: all, or one tenant's.
+    /// Running and waiting tasks, oldest first: all, or those of one tenant.
     pub fn work(&self, of: Option<&Tenant>) -> Vec<Work> {
         let state = self.queue.lock();
         let entries = state.places.values().filter(|entry| of.is_none_or(|of| entry.task.tenant == *of));
@@ -201,7 +221,7 @@ impl ComputePool {
 }
 
 impl Queue {
-    /// Takes a place, and says when its turn is.
+    /// Takes a place; the receiver is told when its turn comes.
     fn enter(self: &Arc<Self>, task: Task) -> Result<(Place, oneshot::Receiver<()>), ServiceError> {
         let mut state = self.lock();
         let PoolLimits { running, queued, .. } = self.limits;
@@ -232,7 +252,8 @@ impl Queue {
 }
 
 impl State {
-    /// Calls those whose turn it is: of the tenant with the fewest that run, then of the one served longest ago.
+    /// Starts tasks while fewer than `limit` run: first of the tenant with the fewest running, then of the one served longest
+    /// ago.
     fn call(&mut self, limit: usize) {
         while self.running < limit {
             let mut running: HashMap<&Tenant, usize> = HashMap::new();
@@ -251,7 +272,7 @@ impl State {
             self.running += 1;
             self.turns += 1;
             self.served.insert(entry.task.tenant.clone(), self.turns);
-            // One who has gone gives the place back when it is dropped.
+            // A caller that has gone frees its place when it is dropped.
             let _ = entry.call.take().map(|call| call.send(()));
         }
     }
@@ -291,6 +312,7 @@ mod tests {
     use std::sync::{atomic::AtomicBool, atomic::Ordering, mpsc};
 
     use super::*;
+    use crate::testing::eventually;
 
     fn pool(running: usize, queued: usize) -> Arc<ComputePool> {
         Arc::new(ComputePool::new(PoolLimits { threads: 2, running, queued }, usize::MAX).unwrap())
@@ -327,7 +349,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn beyond_the_queue_callers_are_turned_away() {
+    async fn callers_beyond_the_queue_are_rejected() {
         let pool = pool(1, 1);
         let (release, blocked) = mpsc::channel::<()>();
         let running = tokio::spawn({
@@ -338,9 +360,7 @@ mod tests {
             let pool = Arc::clone(&pool);
             async move { pool.run(of("a"), |_| Ok(())).await }
         });
-        while pool.load() < 2 {
-            tokio::task::yield_now().await;
-        }
+        eventually("second task", async || (pool.load() >= 2).then_some(())).await;
         let error = pool.run(of("a"), |_| Ok(())).await.unwrap_err();
         assert_eq!(error.code, Code::ResourceExhausted);
         assert!(error.retry_after.is_some());
@@ -351,7 +371,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn dropping_the_future_cancels_what_runs_and_forgets_what_waits() {
+    async fn dropping_the_future_cancels_a_running_task_and_removes_a_waiting_one() {
         let pool = pool(1, 1);
         let (started, has_started) = oneshot::channel();
         let running = tokio::spawn({
@@ -360,7 +380,7 @@ mod tests {
                 pool.run(of("a"), move |ticket| {
                     started.send(()).unwrap();
                     while !ticket.cancellation().requested() {
-                        std::thread::yield_now();
+                        std::thread::sleep(Duration::from_millis(1));
                     }
                     Ok(())
                 })
@@ -373,29 +393,23 @@ mod tests {
             let (pool, ran) = (Arc::clone(&pool), Arc::clone(&ran));
             async move { pool.run(of("a"), move |_| Ok(ran.swap(true, Ordering::SeqCst))).await }
         });
-        while pool.load() < 2 {
-            tokio::task::yield_now().await;
-        }
+        eventually("second task", async || (pool.load() >= 2).then_some(())).await;
         waiting.abort();
         assert!(waiting.await.unwrap_err().is_cancelled());
         running.abort();
-        while pool.load() > 0 {
-            tokio::task::yield_now().await;
-        }
+        eventually("idle pool", async || (pool.load() == 0).then_some(())).await;
         assert!(!ran.load(Ordering::SeqCst), "work taken out of the queue never starts");
     }
 
     #[tokio::test]
-    async fn tenants_take_turns_however_many_one_of_them_asks_for() {
+    async fn tenants_take_turns_however_many_tasks_one_of_them_has() {
         let pool = pool(1, 16);
         let (release, blocked) = mpsc::channel::<()>();
         let running = tokio::spawn({
             let pool = Arc::clone(&pool);
             async move { pool.run(of("a"), move |_| blocked.recv().map_err(|_| gone())).await }
         });
-        while pool.load() < 1 {
-            tokio::task::yield_now().await;
-        }
+        eventually("running task", async || (pool.load() >= 1).then_some(())).await;
         let order = Arc::new(Mutex::new(Vec::new()));
         let mut all = Vec::new();
         for (load, tenant) in (2..).zip(["a", "a", "a", "a", "b", "c", "b"]) {
@@ -407,9 +421,7 @@ mod tests {
                 };
                 pool_of.run(of(tenant), work).await.unwrap();
             }));
-            while pool.load() < load {
-                tokio::task::yield_now().await;
-            }
+            eventually("next task", async || (pool.load() >= load).then_some(())).await;
         }
         assert_eq!(pool.work(Some(&Tenant::new("b").unwrap())).len(), 2);
         assert_eq!(pool.work(None).iter().filter(|work| work.running.is_some()).count(), 1);
@@ -431,15 +443,11 @@ mod tests {
             async move { pool.run(of("a"), move |_| blocked.recv().map_err(|_| gone())).await.map(drop) }
         })];
         for (load, tenant) in [(1, "a"), (2, "b")] {
-            while pool.load() < load {
-                tokio::task::yield_now().await;
-            }
+            eventually("next task", async || (pool.load() >= load).then_some(())).await;
             let pool = Arc::clone(&pool);
             all.push(tokio::spawn(async move { pool.run(of(tenant), |_| Ok(())).await.map(drop) }));
         }
-        while pool.load() < 3 {
-            tokio::task::yield_now().await;
-        }
+        eventually("third task", async || (pool.load() >= 3).then_some(())).await;
         let error = pool.run(of("a"), |_| Ok(())).await.unwrap_err();
         assert_eq!(error.code, Code::ResourceExhausted);
         release.send(()).unwrap();

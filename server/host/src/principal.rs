@@ -1,14 +1,14 @@
-//! Who calls: a tenant and what it may do. Transports make it from a credential, never from a field of a request.
+//! Callers: a tenant and its role. Transports derive them from a credential, never from a field of a request.
 
 use std::fmt;
 
 use crate::error::{Code, ServiceError};
 
-/// Whoever owns set-ups and sessions together: 1 to 64 characters of `a`-`z`, `0`-`9`, `_` and `-`.
+/// The owner of set-ups, sessions and configurations, such as a person or a team: 1 to 64 characters of `a`-`z`, `0`-`9`, `_` and `-`.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct Tenant(String);
 
-/// A name that is no tenant's.
+/// An invalid name of a tenant.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("a tenant's name has 1 to 64 characters of a-z, 0-9, `_` and `-`; this is `{}`", crate::error::shorten(.0))]
 pub struct TenantError(String);
@@ -17,7 +17,7 @@ impl Tenant {
     /// The tenant of that name.
     ///
     /// # Errors
-    /// If no tenant can have that name.
+    /// If the name is invalid.
     pub fn new(name: &str) -> Result<Self, TenantError> {
         const LONGEST: usize = 64;
         let fits =
@@ -41,18 +41,23 @@ impl fmt::Display for Tenant {
     }
 }
 
-/// What a caller may do. Each may what those before it may.
+/// Permissions of a caller. Each role includes those before it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Role {
-    /// See the set-ups, sessions and status of its tenant.
+    /// Reads what its tenant owns, and the tenant's status.
     Reader,
-    /// Everything with the set-ups and sessions of its tenant.
+    /// Computes, and changes what its tenant owns.
     User,
-    /// Also see the status of all tenants.
+    /// Also reads the status of all tenants.
     Admin,
 }
 
 impl Role {
+    /// The role of a name.
+    pub fn named(name: &str) -> Option<Self> {
+        [Self::Reader, Self::User, Self::Admin].into_iter().find(|role| role.name() == name)
+    }
+
     /// Its name in lower case.
     pub fn name(self) -> &'static str {
         match self {
@@ -63,25 +68,25 @@ impl Role {
     }
 }
 
-/// Who calls.
+/// An authenticated caller.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Principal {
-    /// Whose set-ups and sessions these are.
+    /// The owner of what it uses.
     pub tenant: Tenant,
-    /// What it may do.
+    /// Its permissions.
     pub role: Role,
 }
 
 impl Principal {
-    /// Everybody, where nobody is asked who they are: an administrator of the tenant `local`.
+    /// The principal used when authentication is off: an administrator of the tenant `local`.
     pub fn local() -> Self {
         Self { tenant: Tenant("local".to_owned()), role: Role::Admin }
     }
 
-    /// Makes sure that the caller may do what needs `role`.
+    /// Requires a role.
     ///
     /// # Errors
-    /// `PermissionDenied` if the caller may less than `role`.
+    /// `PermissionDenied` if the caller's role is below `role`.
     pub fn need(&self, role: Role) -> Result<(), ServiceError> {
         if self.role >= role {
             return Ok(());
@@ -109,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn a_role_may_what_those_before_it_may() {
+    fn a_role_includes_those_before_it() {
         let of = |role| Principal { role, ..Principal::local() };
         assert!(of(Role::Admin).need(Role::User).is_ok() && of(Role::User).need(Role::User).is_ok());
         assert_eq!(of(Role::Reader).need(Role::User).unwrap_err().code, Code::PermissionDenied);
