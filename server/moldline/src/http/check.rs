@@ -39,7 +39,7 @@ pub async fn check(
 ) -> Answer<Response> {
     let media = Media::accepted(&headers, &[Media::Json, Media::Events])?;
     let request = http.bodies.document::<Check>(&headers, body).await?.message(setup_id)?;
-    let events = http.meshes.check(caller, deadline, request);
+    let events = http.api.check(caller, deadline, request);
     if media == Media::Events {
         return Ok(events::stream("report", deadline, |tell| Box::pin(report(events, tell))));
     }

@@ -60,7 +60,7 @@ pub async fn jacobian(
         Sent::Arrays(arrays) => arrays.jacobian(id, query.linearisation_id)?,
     };
     let limit = http.bodies.most;
-    let mut blocks = http.meshes.jacobian(caller, deadline, request);
+    let mut blocks = http.api.jacobian(caller, deadline, request);
     let first = blocks.recv().await.unwrap_or_else(|| Err(cut_off()))?;
     match media {
         Media::Npy | Media::Octets => stream(media, first, blocks),

@@ -46,7 +46,7 @@ pub async fn open_session(
 ) -> Answer<Response> {
     let OpenSession { label } = http.bodies.document(&headers, body).await?;
     let request = v1::OpenSessionRequest { setup_id, request_id: idempotency_key(&headers), label };
-    let opened = http.meshes.open_session(&caller, request).await?;
+    let opened = http.api.open_session(&caller, request).await?;
     let mut response = media::document(StatusCode::CREATED, &opened)?;
     if let Ok(location) = HeaderValue::from_str(&format!("/v1/sessions/{}", opened.session_id)) {
         response.headers_mut().insert(header::LOCATION, location);
@@ -67,8 +67,7 @@ pub async fn list_sessions(
     Caller(caller): Caller,
     Query(Page { page_size, page_token }): Query<Page>,
 ) -> Answer<Response> {
-    let listed =
-        http.meshes.list_sessions(&caller, v1::ListSessionsRequest { page_size, page_token }).await?;
+    let listed = http.api.list_sessions(&caller, v1::ListSessionsRequest { page_size, page_token }).await?;
     media::document(StatusCode::OK, &listed)
 }
 
@@ -93,7 +92,7 @@ pub async fn get_session(
     headers: HeaderMap,
 ) -> Answer<Response> {
     let media = Media::accepted(&headers, &ARRAYS)?;
-    http.meshes.get_session(&caller, v1::GetSessionRequest { session_id }).await?.respond(media)
+    http.api.get_session(&caller, v1::GetSessionRequest { session_id }).await?.respond(media)
 }
 
 /// Stores a session's design
@@ -127,7 +126,7 @@ pub async fn update_session(
         label,
         request_id: idempotency_key(&headers),
     };
-    media::document(StatusCode::OK, &http.meshes.update_session(&caller, request).await?)
+    media::document(StatusCode::OK, &http.api.update_session(&caller, request).await?)
 }
 
 /// Closes a session for good
@@ -144,7 +143,7 @@ pub async fn close_session(
     Caller(caller): Caller,
     Id(session_id): Id,
 ) -> Answer<StatusCode> {
-    http.meshes.close_session(&caller, v1::CloseSessionRequest { session_id }).await?;
+    http.api.close_session(&caller, v1::CloseSessionRequest { session_id }).await?;
     Ok(StatusCode::NO_CONTENT)
 }
 
@@ -192,7 +191,7 @@ pub async fn deform(
         Sent::Document(document) => Deform::message(document, id),
         Sent::Arrays(arrays) => arrays.deform(id, query.include_cell_quality)?,
     };
-    http.meshes.deform(&caller, request).await?.respond(media)
+    http.api.deform(&caller, request).await?.respond(media)
 }
 
 /// Where a derivative is taken, if the body comes as arrays.
@@ -237,7 +236,7 @@ pub async fn apply_jacobian_vector(
         Sent::Document(document) => Jvp::message(document, id),
         Sent::Arrays(arrays) => arrays.jvp(id, query.linearisation_id)?,
     };
-    http.meshes.apply_jacobian_vector(&caller, request).await?.respond(media)
+    http.api.apply_jacobian_vector(&caller, request).await?.respond(media)
 }
 
 /// What seeds that come as arrays do not say.
@@ -291,5 +290,5 @@ pub async fn apply_adjoint(
             arrays.vjp(id, query.linearisation_id, query.include_design, components)?
         }
     };
-    http.meshes.apply_adjoint(&caller, request).await?.respond(media)
+    http.api.apply_adjoint(&caller, request).await?.respond(media)
 }

@@ -107,7 +107,7 @@ fn answer(created: &v1::CreatedSetup) -> Answer<Response> {
 /// What the request says of the bytes to come.
 fn announced(http: &Http, upload: Upload, headers: &HeaderMap) -> Answer<v1::SetupHeader> {
     use v1::ArchiveKind::{Tar, TarGz, Zip};
-    let limit = http.meshes.service().limits().upload_bytes;
+    let limit = http.api.service().limits().upload_bytes;
     let length = media::length(headers, limit)?.ok_or_else(|| {
         let error = ServiceError::invalid("content-length", "is missing: announce the length of the upload");
         Refusal::with(StatusCode::LENGTH_REQUIRED, error)
@@ -150,10 +150,10 @@ async fn receive(
     body: Body,
     tell: impl FnMut(v1::Progress),
 ) -> Answer<v1::CreatedSetup> {
-    let header = convert::upload(header)?;
-    let most = http.meshes.service().limits().chunk_bytes;
+    let header = convert::setups::upload(header)?;
+    let most = http.api.service().limits().chunk_bytes;
     let parts = Chunks::new(body, most).map(|data| Ok((0, data?)));
-    http.meshes.create_setup(caller, header, parts, tell, Refusal::from).await
+    http.api.create_setup(caller, header, parts, tell, Refusal::from).await
 }
 
 /// A part of a list.
@@ -185,7 +185,7 @@ pub async fn list_setups(
     Caller(caller): Caller,
     Query(Page { page_size, page_token }): Query<Page>,
 ) -> Answer<Response> {
-    let listed = http.meshes.list_setups(&caller, v1::ListSetupsRequest { page_size, page_token }).await?;
+    let listed = http.api.list_setups(&caller, v1::ListSetupsRequest { page_size, page_token }).await?;
     media::document(StatusCode::OK, &listed)
 }
 
@@ -225,7 +225,7 @@ pub async fn get_setup(
 ) -> Answer<Response> {
     let media = Media::accepted(&headers, &ARRAYS)?;
     let request = v1::GetSetupRequest { setup_id, include_mesh, include_control_points };
-    http.meshes.get_setup(&caller, request).await?.respond(media)
+    http.api.get_setup(&caller, request).await?.respond(media)
 }
 
 /// Gives up a set-up of the caller's own
@@ -244,7 +244,7 @@ pub async fn delete_setup(
     Caller(caller): Caller,
     Id(setup_id): Id,
 ) -> Answer<StatusCode> {
-    http.meshes.delete_setup(&caller, v1::DeleteSetupRequest { setup_id }).await?;
+    http.api.delete_setup(&caller, v1::DeleteSetupRequest { setup_id }).await?;
     Ok(StatusCode::NO_CONTENT)
 }
 
@@ -267,7 +267,7 @@ pub async fn share_setup(
     let ShareSetup { visibility, shared_with } = http.bodies.document(&headers, body).await?;
     let visibility = v1::Visibility::from(visibility).into();
     let request = v1::ShareSetupRequest { setup_id, visibility, shared_with };
-    media::document(StatusCode::OK, &http.meshes.share_setup(&caller, request).await?)
+    media::document(StatusCode::OK, &http.api.share_setup(&caller, request).await?)
 }
 
 /// What the server does and holds
@@ -281,5 +281,5 @@ pub async fn share_setup(
     )
 )]
 pub async fn get_status(State(http): State<Http>, Caller(caller): Caller) -> Answer<Response> {
-    media::document(StatusCode::OK, &http.meshes.get_status(&caller, v1::GetStatusRequest {}).await?)
+    media::document(StatusCode::OK, &http.api.get_status(&caller, v1::GetStatusRequest {}).await?)
 }

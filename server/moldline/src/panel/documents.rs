@@ -2,13 +2,13 @@
 
 use std::collections::BTreeMap;
 
-use moldline_proto::v1::{self, Array, DataType, trailing_edges::Rule};
+use moldline_proto::v1::{self, Array, trailing_edges::Rule};
 use moldline_service::ServiceError;
 use moldline_transport::media::Numbers;
 use serde::Deserialize;
 use utoipa::{IntoParams, ToSchema};
 
-use crate::{convert::array, http::arrays::Arrays};
+use crate::{convert::arrays::index_array, http::arrays::Arrays};
 
 /// A mesh made ready for the panel method.
 #[derive(Debug, Default, Deserialize, ToSchema)]
@@ -102,7 +102,7 @@ pub enum TrailingEdges {
 }
 
 fn indices(list: &[u32]) -> Array {
-    array(DataType::Uint32, &[list.len()], list.iter().flat_map(|index| index.to_le_bytes()).collect())
+    index_array(&[list.len()], list)
 }
 
 impl From<Options> for v1::PanelOptions {

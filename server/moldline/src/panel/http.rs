@@ -1,4 +1,4 @@
-//! The HTTP transport of the panel method: every RPC as a route.
+//! The HTTP transport of the panel method's service: a route for every RPC of [`PanelApi`].
 
 use axum::{
     body::Body,
@@ -15,7 +15,7 @@ use utoipa::OpenApi;
 use utoipa_axum::{router::OpenApiRouter, routes};
 
 use super::{
-    Panels,
+    api::PanelApi,
     documents::{Analyze, CreateConfiguration, FlowQuery, Jvp, OptionsQuery, Vjp},
 };
 use crate::http::{
@@ -25,25 +25,25 @@ use crate::http::{
     replies::Reply,
 };
 
-/// What the handlers share.
+/// The state of all handlers.
 #[derive(Clone)]
 pub struct Http {
-    panels: Panels,
+    api: PanelApi,
     bodies: Bodies,
 }
 
-/// All routes, with their description.
-pub fn routes(panels: Panels, max_body: usize) -> OpenApiRouter {
+/// All routes, with their description. Bodies may have `max_body` bytes.
+pub fn routes(api: PanelApi, max_body: usize) -> OpenApiRouter {
     OpenApiRouter::with_openapi(Description::openapi())
         .routes(routes!(create_configuration))
         .routes(routes!(get_configuration))
         .routes(routes!(analyze))
         .routes(routes!(apply_jacobian_vector))
         .routes(routes!(apply_adjoint))
-        .with_state(Http { panels, bodies: Bodies { most: max_body } })
+        .with_state(Http { api, bodies: Bodies { most: max_body } })
 }
 
-/// What is said once for all routes.
+/// The part of the description that all routes share.
 #[derive(OpenApi)]
 #[openapi(
     info(title = "Moldline panel method", description = include_str!("description.md"), license(name = "Apache-2.0", identifier = "Apache-2.0")),
@@ -81,7 +81,7 @@ pub async fn create_configuration(
         Sent::Document(document) => CreateConfiguration::message(document)?,
         Sent::Arrays(arrays) => CreateConfiguration::of_arrays(arrays, query.options()?)?,
     };
-    let answer = http.panels.create_configuration(&caller, request).await?;
+    let answer = http.api.create_configuration(&caller, request).await?;
     let status = if answer.created { StatusCode::CREATED } else { StatusCode::OK };
     let mut response = media::document(status, &answer)?;
     let id = answer.configuration.map(|configuration| configuration.configuration_id).unwrap_or_default();
@@ -106,7 +106,7 @@ pub async fn get_configuration(
     Id(configuration_id): Id,
 ) -> Answer<Response> {
     let request = v1::GetConfigurationRequest { configuration_id };
-    media::document(StatusCode::OK, &http.panels.get_configuration(&caller, request).await?)
+    media::document(StatusCode::OK, &http.api.get_configuration(&caller, request).await?)
 }
 
 /// Analyses the flow
@@ -146,11 +146,11 @@ pub async fn analyze(
     };
     if media == Media::Events {
         let work = move |tell: Tell| -> Work<v1::Analysis> {
-            Box::pin(async move { Ok(http.panels.analyze(&caller, request, tell).await?) })
+            Box::pin(async move { Ok(http.api.analyze(&caller, request, tell).await?) })
         };
         return Ok(events::stream("analysis", deadline, work));
     }
-    http.panels.analyze(&caller, request, |_| {}).await?.respond(media)
+    http.api.analyze(&caller, request, |_| {}).await?.respond(media)
 }
 
 /// Jacobian-vector products
@@ -184,7 +184,7 @@ pub async fn apply_jacobian_vector(
         Sent::Document(document) => Jvp::message(document, id),
         Sent::Arrays(arrays) => query.jvp(arrays, id)?,
     };
-    http.panels.apply_jacobian_vector(&caller, request).await?.respond(media)
+    http.api.apply_jacobian_vector(&caller, request).await?.respond(media)
 }
 
 /// Vector-Jacobian products: gradients
@@ -218,5 +218,5 @@ pub async fn apply_adjoint(
         Sent::Document(document) => Vjp::message(document, id),
         Sent::Arrays(arrays) => query.vjp(arrays, id)?,
     };
-    http.panels.apply_adjoint(&caller, request).await?.respond(media)
+    http.api.apply_adjoint(&caller, request).await?.respond(media)
 }

@@ -12,7 +12,7 @@ use prost::Message;
 use serde_json::json;
 use tonic::{Request, Status, metadata::MetadataValue, transport::Channel};
 
-use crate::testing::{Answer, Server, ball};
+use crate::harness::{Answer, Server, ball};
 
 /// A credential, and what it is expected to give.
 struct Caller {

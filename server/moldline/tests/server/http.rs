@@ -4,7 +4,7 @@ use moldline_service::Limits;
 use moldline_transport::Access;
 use serde_json::{Value, json};
 
-use crate::testing::{Answer, Server, ball};
+use crate::harness::{Answer, Server, ball};
 
 const NPY: &str = "application/x-npy";
 const NPZ: &str = "application/x-npz";
@@ -210,13 +210,7 @@ async fn an_operation_can_be_polled() {
     let accepted = upload(&server, &[("prefer", "respond-async")]).await;
     assert_eq!(accepted.status, 202);
     let location = accepted.headers["location"].clone();
-    let done = loop {
-        let operation = server.ask("GET", &location, &[], b"").await.json();
-        if operation["done"] == true {
-            break operation;
-        }
-        tokio::time::sleep(std::time::Duration::from_millis(10)).await;
-    };
+    let done = server.eventually(&location, |operation| operation.json()["done"] == true).await.json();
     let setup = done["created"]["setup_id"].as_str().unwrap();
     assert_eq!(server.ask("GET", &format!("/v1/setups/{setup}"), &[], b"").await.status, 200);
     assert_eq!(server.ask("DELETE", &location, &[], b"").await.status, 204);
@@ -225,12 +219,8 @@ async fn an_operation_can_be_polled() {
     let headers = [("content-type", "application/json"), ("prefer", "respond-async")];
     let refused = server.ask("POST", "/v1/setups", &headers, b"{\"format\": 99}").await;
     assert_eq!(refused.status, 202);
-    let operation = loop {
-        let operation = server.ask("GET", &refused.headers["location"], &[], b"").await.json();
-        if operation["done"] == true {
-            break operation;
-        }
-    };
+    let location = &refused.headers["location"];
+    let operation = server.eventually(location, |operation| operation.json()["done"] == true).await.json();
     assert_eq!(operation["problem"]["code"], "INVALID_ARGUMENT");
 }
 
@@ -367,7 +357,7 @@ async fn deadlines_are_kept() {
 #[tokio::test]
 async fn every_rpc_has_a_route_and_every_route_is_described() {
     let server = Server::start().await;
-    compare_routes_with_rpcs(&server, crate::grpc::MESHES).await;
+    compare_routes_with_rpcs(&server, "moldline.v1.MeshService").await;
 }
 
 /// The description is made from the routes, so it has them all; what it cannot know is whether every RPC has one.

@@ -4,6 +4,7 @@ use moldline_proto::v1::{
     self, create_setup_request::Part, create_setup_response::Event, deform_request::Input,
     mesh_service_client::MeshServiceClient,
 };
+use moldline_transport::Health;
 use tokio_stream::StreamExt;
 use tonic::{Code, Status, transport::Channel};
 use tonic_health::pb::{
@@ -12,8 +13,7 @@ use tonic_health::pb::{
 use tonic_reflection::pb::{v1 as reflection, v1alpha as reflection_alpha};
 use tonic_types::StatusExt;
 
-use super::*;
-use crate::testing::{Server, ball};
+use crate::harness::{Server, ball};
 
 async fn serve() -> (Channel, Health) {
     let server = Server::start().await;
