@@ -7,6 +7,7 @@ use std::{
 };
 
 use clap::Args;
+use indicatif::HumanBytes;
 use moldline_proto::v1::{self, mesh_service_client::MeshServiceClient};
 use tonic::{
     Request,
@@ -134,7 +135,7 @@ fn render(server: &str, status: &v1::GetStatusResponse) -> String {
         [
             name.to_owned(),
             table::bar(share(cache.bytes, cache.budget_bytes), 20),
-            format!("{} of {}", table::bytes(cache.bytes), table::bytes(cache.budget_bytes)),
+            format!("{} of {}", HumanBytes(cache.bytes), HumanBytes(cache.budget_bytes)),
             format!("{} held{found}", cache.entries),
         ]
     };
@@ -149,7 +150,7 @@ fn render(server: &str, status: &v1::GetStatusResponse) -> String {
         status.sessions,
         status.setups_resident,
         status.setups_stored,
-        table::bytes(status.stored_bytes)
+        HumanBytes(status.stored_bytes)
     );
     if status.work.is_empty() {
         return text + "nothing runs\n";
@@ -212,7 +213,7 @@ mod tests {
         for words in [
             "moldline 1.2.3 at localhost:1, up 2 h 1 min, all tenants",
             "running         ██████████░░░░░░░░░░  1 of 2",
-            "1.0 GiB of 2.0 GiB  4 held, 75.0 % found",
+            "1.00 GiB of 2.00 GiB  4 held, 75.0 % found",
             "3 sessions",
             "build  1.2 s  factorisation 50 %  anna",
         ] {

@@ -1,14 +1,14 @@
-//! The HTTP transport of the mesh service: a route for every RPC of [`MeshApi`]. Bodies are read in `documents` and `arrays`,
+//! The HTTP transport of the mesh service: a route for every RPC of [`MeshApi`]. Bodies are read in `bodies` and `arrays`,
 //! and written in `replies`.
 
 pub mod arrays;
 pub mod bodies;
 mod check;
-mod documents;
 pub mod events;
 mod jacobian;
 mod operations;
 pub mod replies;
+pub mod responses;
 mod sessions;
 mod setups;
 
@@ -66,7 +66,7 @@ pub fn routes(api: MeshApi, max_body: usize) -> OpenApiRouter {
     tags(
         (name = "set-ups", description = "Geometry, mesh, parameterisation and options: immutable, named by their content."),
         (name = "sessions", description = "Work on a set-up: a design that is stored, deformations, derivatives."),
-        (name = "server", description = "What the server does and holds."),
+        (name = "server", description = "Load and contents of the server."),
     )
 )]
 struct Description;
