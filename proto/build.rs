@@ -65,8 +65,13 @@ const ELSEWHERE: [&str; 4] = ["setup_id", "session_id", "configuration_id", "req
 const NOT_NULL: [&str; 4] = ["at", "directions", "seeds", "options"];
 
 /// Fields of `READ` that the rules of [`read_field`] do not describe.
-const EXCEPTIONS: [(&str, &str); 16] = [
+const EXCEPTIONS: [(&str, &str); 18] = [
     ("UpdateSessionRequest.expected_generation", ""),
+    (
+        "UpdateSessionRequest.design",
+        "#[schema(value_type = Option<crate::json::requests::DesignPoint>, nullable = false)]",
+    ),
+    ("UpdateSessionRequest.label", "#[schema(nullable = false)]"),
     (
         "ShareSetupRequest.visibility",
         "#[serde(deserialize_with = \"crate::json::read::word::<Visibility, _>\")] #[schema(value_type = Visibility, inline)]",
@@ -76,18 +81,15 @@ const EXCEPTIONS: [(&str, &str); 16] = [
         "#[serde(rename = \"design\", default, deserialize_with = \"crate::json::read::design\")] \
          #[schema(value_type = Option<crate::json::read::Design>, nullable = false)]",
     ),
-    ("ApplyJacobianVectorRequest.design", "#[schema(value_type = Option<Vec<Vec<f64>>>, nullable = false)]"),
-    ("ApplyAdjointRequest.vertices", "#[schema(value_type = Option<Vec<Vec<Vec<f64>>>>, nullable = false)]"),
-    ("ApplyAdjointRequest.functions", "#[schema(value_type = Option<Vec<Vec<f64>>>, nullable = false)]"),
+    ("ApplyJacobianVectorRequest.design", POINTS),
+    ("ApplyAdjointRequest.vertices", VECTORS),
+    ("ApplyAdjointRequest.functions", POINTS),
     (
         "CreateConfigurationRequest.cells",
         "#[serde(default = \"crate::json::read::no_cells\", deserialize_with = \"crate::json::read::cells\")] \
          #[schema(value_type = Vec<Vec<u32>>)]",
     ),
-    (
-        "CreateConfigurationRequest.vertices",
-        "#[schema(value_type = Option<Vec<Vec<f64>>>, nullable = false)]",
-    ),
+    ("CreateConfigurationRequest.vertices", POINTS),
     ("CreateConfigurationRequest.cell_groups", GROUPS),
     ("CreateConfigurationRequest.vertex_groups", GROUPS),
     (
@@ -105,10 +107,17 @@ const EXCEPTIONS: [(&str, &str); 16] = [
         "#[serde(default, deserialize_with = \"crate::json::read::names\")] \
          #[schema(value_type = Option<Vec<String>>, nullable = false)]",
     ),
-    ("AnalyzeRequest.vertices", "#[schema(value_type = Option<Vec<Vec<f64>>>, nullable = false)]"),
-    ("AnalysisGeometry.vertices", "#[schema(value_type = Option<Vec<Vec<f64>>>, nullable = false)]"),
+    ("AnalyzeRequest.vertices", POINTS),
+    ("AnalysisGeometry.vertices", POINTS),
     ("FlowReference.point", "#[serde(default, deserialize_with = \"crate::json::read::point\")]"),
 ];
+
+/// Lists of points or of numbers.
+const POINTS: &str = "#[serde(default)] #[schema(value_type = Option<Vec<Vec<f64>>>, nullable = false)]";
+
+/// Lists of lists of points.
+const VECTORS: &str =
+    "#[serde(default)] #[schema(value_type = Option<Vec<Vec<Vec<f64>>>>, nullable = false)]";
 
 /// Names of groups with their indices.
 const GROUPS: &str = "#[serde(default, deserialize_with = \"crate::json::read::groups\")] \
@@ -158,6 +167,10 @@ fn read(mut builder: Builder, message: &DescriptorProto) -> Builder {
         .message_attribute(&path, "#[serde(deny_unknown_fields)]");
     if !message.name().ends_with("Request") {
         builder = builder.message_attribute(&path, format!("#[schema(as = Request{})]", message.name()));
+    }
+    if message.name() == "DeformRequest" {
+        let example = "#[schema(example = json!({ \"design\": { \"wing.translation\": 0.5 } }))]";
+        builder = builder.message_attribute(&path, example);
     }
     let oneofs = message.oneof_decl.iter().map(|oneof| oneof.name());
     let exception = |field: &str| {

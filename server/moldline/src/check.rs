@@ -1,14 +1,9 @@
 //! `moldline check`: whether the derivatives of a set-up are right, and if not, at which step of the chain they go wrong.
 
-use std::{
-    num::NonZeroUsize,
-    path::{Path, PathBuf},
-    sync::Arc,
-};
+use std::{num::NonZeroUsize, path::PathBuf, sync::Arc};
 
 use clap::Args;
 use moldline_check::{Designs, Observer, Report, Request};
-use moldline_parameterisation::Group;
 use serde_json::{Map, Value, json};
 
 use crate::{
@@ -46,7 +41,8 @@ pub struct CheckOptions {
 
 /// `moldline check`
 pub fn run(options: &CheckOptions) -> Result<(), Failure> {
-    if options.plots.is_some() && cfg!(not(feature = "plot")) {
+    #[cfg(not(feature = "plot"))]
+    if options.plots.is_some() {
         return Err(Failure::NoPlots);
     }
     let pool = local::pool(&options.source)?;
@@ -63,28 +59,13 @@ pub fn run(options: &CheckOptions) -> Result<(), Failure> {
         write_with_folder(path, format!("{:#}\n", document(&report)).as_bytes())?;
         say(&format_args!("wrote {}", path.display()))?;
     }
+    #[cfg(feature = "plot")]
     if let Some(folder) = &options.plots {
-        plot(&report, setup.parameterisation().groups(), folder)?;
+        crate::plot::write(&report, setup.parameterisation().groups(), folder)?;
     }
     let maxima = report.maxima();
     let off: Vec<&str> = maxima.iter().filter(|m| !m.passes()).map(|m| m.comparison).collect();
     if off.is_empty() { Ok(()) } else { Err(Failure::Derivatives(off.join(", "))) }
-}
-
-/// Draws a figure for each design.
-#[cfg(feature = "plot")]
-fn plot(report: &Report, groups: &[Group], folder: &Path) -> Result<(), Failure> {
-    for (number, check) in report.designs.iter().enumerate() {
-        let path = folder.join(format!("plateau-{}.png", number + 1));
-        write_with_folder(&path, &crate::plot::plateau(&report.title(number), groups, check)?)?;
-        say(&format_args!("wrote {}", path.display()))?;
-    }
-    Ok(())
-}
-
-#[cfg(not(feature = "plot"))]
-fn plot(_: &Report, _: &[Group], _: &Path) -> Result<(), Failure> {
-    Err(Failure::NoPlots)
 }
 
 impl Observer for Bar {

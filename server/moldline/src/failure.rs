@@ -49,14 +49,14 @@ pub enum Failure {
     #[error("cannot draw the figure: {0}")]
     Plot(#[from] crate::plot::PlotError),
     /// The program was built without plotting.
+    #[cfg(not(feature = "plot"))]
     #[error(
         "--plots: this program was built without the feature `plot`; build it with `--features plot`, or write the errors with \
          --json"
     )]
-    #[cfg_attr(feature = "plot", allow(dead_code, reason = "plotting is there"))]
     NoPlots,
     /// There is no store, or it cannot be opened.
-    #[error("{0}; name the place that `moldline serve` was given by --store")]
+    #[error("{0}; give --store the store of `moldline serve`")]
     NoStore(#[source] moldline_service::StoreError),
     /// The store fails.
     #[error(transparent)]

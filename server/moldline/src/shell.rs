@@ -17,10 +17,10 @@ use crate::{cli, shutdown, telemetry};
 /// Options of a service's port, its access and its end.
 #[derive(Debug, Args)]
 pub struct ListenOptions {
-    /// Address to listen on; port 0 takes a free one. Standard output has one line, the bound address
+    /// Address to listen on; port 0 takes a free one. Standard output gets one line with the bound address
     #[arg(long, env = "MOLDLINE_LISTEN", default_value = "127.0.0.1:50051")]
     pub listen: SocketAddr,
-    /// Allow an address that other machines reach without authentication
+    /// Allow an address that other machines can reach, without authentication
     #[arg(long, env = "MOLDLINE_INSECURE_LISTEN")]
     pub insecure_listen: bool,
     /// Require a token of this file (`moldline token create`); changes of the file take effect at once
@@ -135,7 +135,7 @@ pub(crate) fn runtime() -> Result<runtime::Runtime, ServeError> {
 /// Serves until the process is asked to stop, then lets running requests finish.
 ///
 /// # Errors
-/// If the server cannot start as the options say, or requests outlast the drain timeout.
+/// If the server cannot start with these options, or requests outlast the drain timeout.
 pub(crate) async fn serve(options: &ListenOptions, parts: Parts) -> Result<(), ServeError> {
     let access = access(options)?;
     if !options.listen.ip().is_loopback() && !access.asks() && !options.insecure_listen {

@@ -8,7 +8,7 @@ use moldline_service::{
 
 use super::{arrays, sessions, status};
 
-/// Where a derivative is taken.
+/// The point of a derivative.
 pub fn at(point: Option<v1::LinearisationPoint>) -> Result<At, ServiceError> {
     let v1::LinearisationPoint { linearisation_id, design_point: point } = point.unwrap_or_default();
     let design = point.map(|point| sessions::design_point("at.design_point.", point)).transpose()?;

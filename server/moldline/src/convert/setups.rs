@@ -9,7 +9,7 @@ use moldline_service::{
 
 use super::{arrays, status};
 
-/// The first message of an upload.
+/// The header of an upload, which must be its first message.
 pub fn header(part: v1::CreateSetupRequest) -> Result<UploadHeader, ServiceError> {
     match part.part {
         Some(Part::Header(header)) => upload(header),

@@ -7,7 +7,7 @@
 //! | ApplyAdjoint | `vertices` (k, m, 3) | `functions` (k, f), `at.design`, `at.control_points.COMPONENT` |
 //! | Jacobian | `at.design` (n) | `at.control_points.COMPONENT` |
 //!
-//! A single vector may come without its first dimension.
+//! A single vector may omit its first dimension.
 
 use moldline_proto::v1::{self, Array, deform_request, design_point};
 use moldline_service::ServiceError;

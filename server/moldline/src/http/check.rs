@@ -22,7 +22,8 @@ use super::{
 
 /// What to check. At the baseline if neither a number of designs nor a design is given.
 ///
-/// This is not the message itself: only here can a request give two of the message's alternatives, and the default seed is 1.
+/// A document of its own, and not the message: it can give two of the message's alternatives, which is an error of the field
+/// `designs`, and its default seed is 1.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 #[schema(as = CheckRequest, description = "What to check. At the baseline if neither a number of designs nor a design is given.")]
@@ -46,6 +47,8 @@ fn first_seed() -> u64 {
 }
 
 impl Check {
+    /// The message.
+    ///
     /// # Errors
     /// `InvalidArgument` for a number of designs beside a design.
     fn message(self, setup_id: String) -> Result<v1::CheckRequest, ServiceError> {

@@ -71,7 +71,7 @@ pub fn routes(api: MeshApi, max_body: usize) -> OpenApiRouter {
 )]
 struct Description;
 
-/// Bearer tokens, which a server requires or not.
+/// Describes bearer tokens, which a server may require.
 pub struct Bearer;
 
 impl utoipa::Modify for Bearer {

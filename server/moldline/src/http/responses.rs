@@ -8,7 +8,7 @@ use utoipa::{
     openapi::{ContentBuilder, Ref, RefOr, Response, ResponseBuilder},
 };
 
-/// Any other status: an error, with its problem document. The description's components must have [`Problem`].
+/// Any other status: an error with its problem document. The components of the description must contain [`Problem`].
 pub struct Errors;
 
 impl IntoResponses for Errors {

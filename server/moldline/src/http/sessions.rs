@@ -90,7 +90,7 @@ pub async fn get_session(
 
 /// Stores a session's design
 ///
-/// An optimizer saves its progress by it. Of two updates of the same generation one is refused (ABORTED), and its client must
+/// An optimizer saves its progress this way. Of two updates of the same generation one is refused (ABORTED), and its client must
 /// read the session again.
 #[utoipa::path(
     patch, path = "/v1/sessions/{session_id}", operation_id = "UpdateSession", tag = "sessions",
@@ -186,7 +186,7 @@ pub async fn deform(
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct AtQuery {
-    /// As Deform returned it. (In JSON, a field of the document.)
+    /// From the answer of Deform. (In JSON, a field of the document.)
     pub linearisation_id: Option<String>,
     /// Extents of an `application/octet-stream` body, such as `2,45`.
     pub shape: Option<String>,
@@ -194,7 +194,7 @@ pub struct AtQuery {
 
 /// Jacobian-vector products
 ///
-/// How vertices and functions change along directions of the design variables, of control points, or both together.
+/// Changes of vertices and functions along directions of the design variables, of control points, or of both together.
 #[utoipa::path(
     post, path = "/v1/sessions/{session_id}/jvp", operation_id = "ApplyJacobianVector", tag = "sessions",
     params(("session_id" = String, Path), AtQuery),
@@ -231,7 +231,7 @@ pub async fn apply_jacobian_vector(
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct VjpQuery {
-    /// As Deform returned it. (In JSON, like all of these, a field of the document.)
+    /// From the answer of Deform. (In JSON, like all of these, a field of the document.)
     linearisation_id: Option<String>,
     /// Extents of an `application/octet-stream` body, such as `2,14824,3`.
     shape: Option<String>,

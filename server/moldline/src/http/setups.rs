@@ -45,7 +45,7 @@ pub struct Upload {
 ///
 /// The body is an archive of the set-up's folder, or a set-up file that needs no others. The answer comes when it is
 /// built; with `Accept: text/event-stream` it is a stream of `progress` events and one `created` or `problem` at the end;
-/// with `Prefer: respond-async` it is an operation to poll. The same content again is answered from the set-up that exists.
+/// with `Prefer: respond-async` it is an operation to poll. The same content again gives the existing set-up.
 #[utoipa::path(
     post, path = "/v1/setups", operation_id = "CreateSetup", tag = "set-ups",
     params(

@@ -61,10 +61,10 @@ pub struct AnalyzeOptions {
     /// The body has no trailing edges, and so no lift
     #[arg(long, conflicts_with = "trailing_edge_angle")]
     pub no_trailing_edges: bool,
-    /// The plane y = 0
+    /// Symmetry about the plane y = 0
     #[arg(long, default_value = "automatic", value_parser = words(&SYMMETRIES))]
     pub symmetry: Symmetry,
-    /// How the linear system is solved
+    /// Solver of the linear system
     #[arg(long, default_value = "automatic", value_parser = words(&SOLVERS))]
     pub solver: Solver,
     /// Memory limit, MiB

@@ -13,7 +13,7 @@ pub struct Choice<T, M> {
     message: M,
 }
 
-/// The plane y = 0.
+/// Symmetry about the plane y = 0.
 pub static SYMMETRIES: [Choice<Symmetry, PanelSymmetry>; 4] = [
     Choice::new("automatic", "As the mesh is", Symmetry::Automatic, PanelSymmetry::Unspecified),
     Choice::new("none", "Every cell is solved", Symmetry::None, PanelSymmetry::None),
@@ -21,7 +21,7 @@ pub static SYMMETRIES: [Choice<Symmetry, PanelSymmetry>; 4] = [
     Choice::new("mirror", "The mesh has both halves, one is solved", Symmetry::Mirror, PanelSymmetry::Mirror),
 ];
 
-/// How the linear system is solved.
+/// Solvers of the linear system.
 pub static SOLVERS: [Choice<Solver, PanelSolver>; 4] = [
     Choice::new("automatic", "By the number of unknowns", Solver::Automatic, PanelSolver::Unspecified),
     Choice::new("double", "LU in double precision", Solver::Double, PanelSolver::Double),
@@ -35,7 +35,7 @@ impl<T, M> Choice<T, M> {
     }
 }
 
-/// The choice of a message's enumeration, or `None` for a number without a name.
+/// The value of a number in messages; `None` if the number has no name.
 pub fn of_message<T: Copy, M: Copy + Into<i32>>(choices: &[Choice<T, M>], message: i32) -> Option<T> {
     choices.iter().find(|choice| choice.message.into() == message).map(|choice| choice.value)
 }

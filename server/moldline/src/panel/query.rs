@@ -1,4 +1,4 @@
-//! Requests whose bodies are arrays: the fields that travel in the query, and the messages of the protocol that both make.
+//! Requests whose bodies are arrays, as messages of the protocol. Their other fields are in the query.
 
 use moldline_proto::v1::{self, Array};
 use moldline_service::ServiceError;

@@ -96,7 +96,7 @@ impl Server {
         }
         let mut stream = TcpStream::connect(self.address).await.unwrap();
         stream.write_all(format!("{head}\r\n").as_bytes()).await.unwrap();
-        // A server that refuses early need not read it all.
+        // A server that refuses early need not read the whole body.
         let _ = stream.write_all(body).await;
         let mut bytes = Vec::new();
         let _ = stream.read_to_end(&mut bytes).await;

@@ -71,7 +71,7 @@ async fn all_kinds_of_bodies_give_the_same_numbers() {
     assert_eq!(id, document["linearisation_id"]);
     assert!(octets.headers["server-timing"].contains("engine;dur="));
 
-    // .npy both ways: what follows the header are the same bytes.
+    // .npy both ways: the same bytes follow the header.
     let mut file = moldline_transport::npy::header(moldline_proto::v1::DataType::Float64, &[1]);
     file.extend(&design);
     let npy = server.ask("POST", &deform, &[("content-type", NPY), ("accept", NPY)], &file).await;
@@ -284,7 +284,7 @@ async fn bad_bodies_are_refused_before_they_cost_anything() {
             String::from_utf8_lossy(&answer.body)
         );
     }
-    // Others are still served.
+    // Other requests are still served.
     assert_eq!(server.json("POST", &deform, serde_json::json!({})).await.status, 200);
 }
 
@@ -360,7 +360,7 @@ async fn every_rpc_has_a_route_and_every_route_is_described() {
     compare_routes_with_rpcs(&server, "moldline.v1.MeshService").await;
 }
 
-/// The description is made from the routes, so it has them all; what it cannot know is whether every RPC has one.
+/// Checks that every RPC has a route. (The description is made from the routes, so it has them all.)
 pub async fn compare_routes_with_rpcs(server: &Server, service: &str) {
     let described = server.ask("GET", "/openapi.json", &[], b"").await.json();
     assert!(described["openapi"].as_str().unwrap().starts_with("3.1"));
@@ -368,7 +368,7 @@ pub async fn compare_routes_with_rpcs(server: &Server, service: &str) {
     for (path, item) in described["paths"].as_object().unwrap() {
         for (method, operation) in item.as_object().unwrap() {
             operations.push(operation["operationId"].as_str().unwrap().to_owned());
-            // A route that is described is there: it does not answer 404 or 405 for want of a route.
+            // A described route exists: it does not answer 404 or 405 for want of a route.
             let concrete = path.split('/').map(|part| if part.starts_with('{') { "x" } else { part });
             let concrete = concrete.collect::<Vec<_>>().join("/");
             let answer = server.ask(&method.to_uppercase(), &concrete, &[], b"").await;
