@@ -8,7 +8,6 @@
 //! | `application/x-npz` | all arrays by name; the rest in the query | all arrays by name, and `info.json` |
 
 use std::{
-    fmt,
     pin::Pin,
     task::{Context, Poll},
     time::Duration,
@@ -22,7 +21,7 @@ use axum::{
 use http_body::Body as _;
 use moldline_host::{Code, ServiceError};
 use moldline_proto::v1::{Array, DataType};
-use serde::{Deserialize, Serialize, de};
+use serde::{Serialize, de};
 use tokio::time::{Instant, Sleep};
 use tokio_stream::{Stream, StreamExt};
 
@@ -361,111 +360,6 @@ fn text(document: &impl Serialize) -> Answer<String> {
     })
 }
 
-/// An array in a document: nested lists of numbers.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Numbers(pub Array);
-
-/// Maximum nesting of lists.
-const DEPTH: usize = 8;
-
-impl<'de> Deserialize<'de> for Numbers {
-    fn deserialize<D: de::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let (mut data, mut shape) = (Vec::new(), Vec::new());
-        de::DeserializeSeed::deserialize(
-            Level { depth: 0, data: &mut data, shape: &mut shape },
-            deserializer,
-        )?;
-        Ok(Self(Array { dtype: DataType::Float64.into(), shape, data: data.into() }))
-    }
-}
-
-/// A value at one depth: a number or a list. The first list at a depth sets its extent.
-struct Level<'a> {
-    depth: usize,
-    data: &'a mut Vec<u8>,
-    shape: &'a mut Vec<u64>,
-}
-
-impl Level<'_> {
-    fn number<E: de::Error>(self, value: f64) -> Result<(), E> {
-        if self.depth == 0 {
-            return Err(E::custom("a number, expected a list of numbers"));
-        }
-        if self.depth == self.shape.len() {
-            self.data.extend_from_slice(&value.to_le_bytes());
-            return Ok(());
-        }
-        Err(E::custom("a number, expected a list as before it"))
-    }
-}
-
-impl<'de> de::DeserializeSeed<'de> for Level<'_> {
-    type Value = ();
-
-    fn deserialize<D: de::Deserializer<'de>>(self, deserializer: D) -> Result<(), D::Error> {
-        deserializer.deserialize_any(self)
-    }
-}
-
-impl<'de> de::Visitor<'de> for Level<'_> {
-    type Value = ();
-
-    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("nested lists of numbers")
-    }
-
-    fn visit_f64<E: de::Error>(self, value: f64) -> Result<(), E> {
-        self.number(value)
-    }
-
-    fn visit_u64<E: de::Error>(self, value: u64) -> Result<(), E> {
-        self.number(value as f64)
-    }
-
-    fn visit_i64<E: de::Error>(self, value: i64) -> Result<(), E> {
-        self.number(value as f64)
-    }
-
-    fn visit_seq<A: de::SeqAccess<'de>>(self, mut list: A) -> Result<(), A::Error> {
-        let Self { depth, data, shape } = self;
-        if depth >= DEPTH {
-            return Err(de::Error::custom("lists are nested too deeply"));
-        }
-        let first = shape.len() == depth;
-        if first {
-            if !data.is_empty() {
-                return Err(de::Error::custom("a list, expected a number as before it"));
-            }
-            shape.push(0);
-        }
-        let mut extent = 0;
-        while list.next_element_seed(Level { depth: depth + 1, data, shape })?.is_some() {
-            extent += 1;
-        }
-        if first {
-            shape[depth] = extent;
-        } else if shape[depth] != extent {
-            let expected = shape[depth];
-            return Err(de::Error::custom(format!(
-                "a list of {extent}, expected {expected} as in those before it"
-            )));
-        }
-        Ok(())
-    }
-}
-
-impl utoipa::PartialSchema for Numbers {
-    fn schema() -> utoipa::openapi::RefOr<utoipa::openapi::schema::Schema> {
-        Array::schema()
-    }
-}
-
-impl utoipa::ToSchema for Numbers {
-    fn name() -> std::borrow::Cow<'static, str> {
-        Array::name()
-    }
-}
-
 /// Describes a binary body.
 pub struct Binary;
 
@@ -481,34 +375,9 @@ impl utoipa::ToSchema for Binary {}
 
 #[cfg(test)]
 mod tests {
+    use serde::Deserialize;
+
     use super::*;
-
-    fn numbers(text: &str) -> Result<Numbers, String> {
-        serde_json::from_str(text).map_err(|error| error.to_string())
-    }
-
-    #[test]
-    fn nested_lists_become_arrays() {
-        for (text, shape) in [
-            ("[]", &[0][..]),
-            ("[1, 2.5, -3]", &[3]),
-            ("[[1,2,3],[4,5,6]]", &[2, 3]),
-            ("[[[1]],[[2]]]", &[2, 1, 1]),
-            ("[[],[]]", &[2, 0]),
-        ] {
-            let array = numbers(text).unwrap().0;
-            assert_eq!(array.shape, shape, "{text}");
-            assert_eq!(array.data.len() as u64, 8 * shape.iter().product::<u64>(), "{text}");
-        }
-        assert_eq!(numbers("[[1,2],[3,4]]").unwrap().0.data[24..], 4.0_f64.to_le_bytes());
-        for text in
-            ["1", "[[1],[2,3]]", "[1,[2]]", "[[1],2]", "[null]", "[\"a\"]", "{}", "[[],1]", "[[1,2],[]]"]
-        {
-            assert!(numbers(text).is_err(), "{text}");
-        }
-        assert!(numbers(&"[".repeat(100)).is_err());
-        assert!(numbers(&format!("{}1{}", "[".repeat(9), "]".repeat(9))).unwrap_err().contains("deeply"));
-    }
 
     #[test]
     fn the_best_common_type_is_chosen() {
@@ -533,7 +402,7 @@ mod tests {
         #[serde(deny_unknown_fields)]
         struct Document {
             #[allow(dead_code, reason = "only read")]
-            design: Option<Numbers>,
+            design: Option<Array>,
         }
         let fault = |text: &'static str| {
             let error = json::<Document>(&Bytes::from_static(text.as_bytes())).unwrap_err();

@@ -1,7 +1,12 @@
 //! `moldline panel analyze`: the panel method on a local mesh, without a server: the same input, the same bits.
 
-use std::{fs, io, path::Path};
+use std::{
+    fs, io,
+    num::NonZeroUsize,
+    path::{Path, PathBuf},
+};
 
+use clap::Args;
 use moldline_mesh::{
     Limits, SurfaceMesh,
     io::{ReadError, msh, stl, vtu},
@@ -13,16 +18,79 @@ use moldline_panel_service::{refused, reporter};
 use moldline_service::Cancellation;
 use serde_json::{Value, json};
 
+use super::choices::{SOLVERS, SYMMETRIES, words};
 use crate::{
     bar::Bar,
-    config::{self, PanelAnalyze},
-    local::{Failure, say, write},
+    cli,
+    failure::Failure,
+    output::{say, write},
 };
 
+/// Options of `moldline panel analyze`.
+#[derive(Debug, Args)]
+pub struct AnalyzeOptions {
+    /// Mesh file: .msh, .vtu or .stl
+    pub mesh: PathBuf,
+    /// Mach number
+    #[arg(long, default_value_t = 0.0)]
+    pub mach: f64,
+    /// Angles of attack, degrees
+    #[arg(long, value_delimiter = ',', default_value = "0", allow_hyphen_values = true)]
+    pub alpha: Vec<f64>,
+    /// Sideslip, degrees
+    #[arg(long, default_value_t = 0.0, allow_hyphen_values = true)]
+    pub sideslip: f64,
+    /// Reference area, m^2
+    #[arg(long)]
+    pub area: f64,
+    /// Reference chord of the pitching moment, m
+    #[arg(long)]
+    pub chord: f64,
+    /// Reference span of the rolling and yawing moments, m
+    #[arg(long)]
+    pub span: f64,
+    /// Reference point of the moments, m
+    #[arg(long, value_name = "X,Y,Z", value_parser = point, default_value = "0,0,0", allow_hyphen_values = true)]
+    pub point: [f64; 3],
+    /// Vertex group of a trailing edge; may be given several times
+    #[arg(long, value_name = "GROUP", conflicts_with_all = ["trailing_edge_angle", "no_trailing_edges"])]
+    pub trailing_edge: Vec<String>,
+    /// Trailing edges are edges across which the surface turns by at least so many degrees
+    #[arg(long, value_name = "DEGREES", default_value_t = 120.0)]
+    pub trailing_edge_angle: f64,
+    /// The body has no trailing edges, and so no lift
+    #[arg(long, conflicts_with = "trailing_edge_angle")]
+    pub no_trailing_edges: bool,
+    /// Symmetry about the plane y = 0
+    #[arg(long, default_value = "automatic", value_parser = words(&SYMMETRIES))]
+    pub symmetry: Symmetry,
+    /// Solver of the linear system
+    #[arg(long, default_value = "automatic", value_parser = words(&SOLVERS))]
+    pub solver: Solver,
+    /// Memory limit, MiB
+    #[arg(long, default_value_t = 4096, value_name = "MIB")]
+    pub memory: u64,
+    /// Compute threads; results do not depend on their number [default: one per core]
+    #[arg(long, env = "MOLDLINE_THREADS")]
+    pub threads: Option<NonZeroUsize>,
+    /// Write the mesh with its pressure coefficients at every angle to this VTU file
+    #[arg(long, short, value_name = "FILE")]
+    pub output: Option<PathBuf>,
+    /// Write all coefficients and loads to this JSON file
+    #[arg(long, value_name = "FILE")]
+    pub report: Option<PathBuf>,
+}
+
+fn point(text: &str) -> Result<[f64; 3], String> {
+    let numbers: Result<Vec<f64>, _> = text.split(',').map(|number| number.trim().parse()).collect();
+    let numbers = numbers.map_err(|error| format!("{error}"))?;
+    numbers.try_into().map_err(|_| "expected X,Y,Z".to_owned())
+}
+
 /// `moldline panel analyze`
-pub fn analyze(options: &PanelAnalyze) -> Result<(), Failure> {
+pub fn run(options: &AnalyzeOptions) -> Result<(), Failure> {
     let mesh = read(&options.mesh)?;
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(config::threads(options.threads)).build()?;
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(cli::threads(options.threads)).build()?;
     let setup = pool.install(|| PanelSetup::new(&mesh, choices(options))).map_err(refused)?;
     let summary = setup.summary();
     let symmetric = if summary.symmetric { ", one half for both" } else { "" };
@@ -66,14 +134,9 @@ pub fn analyze(options: &PanelAnalyze) -> Result<(), Failure> {
     Ok(())
 }
 
-fn choices(options: &PanelAnalyze) -> Options {
+fn choices(options: &AnalyzeOptions) -> Options {
     Options {
-        symmetry: match options.symmetry {
-            config::Symmetry::Automatic => Symmetry::Automatic,
-            config::Symmetry::None => Symmetry::None,
-            config::Symmetry::Half => Symmetry::Half,
-            config::Symmetry::Mirror => Symmetry::Mirror,
-        },
+        symmetry: options.symmetry,
         trailing_edges: if options.no_trailing_edges {
             TrailingEdges::None
         } else if options.trailing_edge.is_empty() {
@@ -81,12 +144,7 @@ fn choices(options: &PanelAnalyze) -> Options {
         } else {
             TrailingEdges::Groups(options.trailing_edge.clone())
         },
-        solver: match options.solver {
-            config::Solver::Automatic => Solver::Automatic,
-            config::Solver::Double => Solver::Double,
-            config::Solver::Single => Solver::Single,
-            config::Solver::Iterative => Solver::Iterative,
-        },
+        solver: options.solver,
         memory_limit: options.memory.saturating_mul(1 << 20),
         ..Options::default()
     }

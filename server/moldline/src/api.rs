@@ -1,4 +1,4 @@
-//! The mesh service in messages: what both transports call. What a message means is in `convert`.
+//! The mesh service in messages of the protocol, called by both transports. `convert` has their meaning.
 
 use std::sync::Arc;
 
@@ -12,26 +12,26 @@ use tracing::{Instrument, Span};
 
 use crate::convert;
 
-/// The mesh service, message by message.
+/// The RPCs of the mesh service.
 #[derive(Clone, Debug)]
-pub struct Meshes {
+pub struct MeshApi {
     service: Arc<Service>,
 }
 
 type Answer<T> = Result<T, ServiceError>;
 
-impl Meshes {
+impl MeshApi {
     pub fn new(service: Arc<Service>) -> Self {
         Self { service }
     }
 
-    /// The service behind it.
+    /// The service that the calls go to.
     pub fn service(&self) -> &Service {
         &self.service
     }
 
-    /// Receives, builds, and tells about it. `parts` are the bytes to come, each with the index of its file; `refuse` makes
-    /// an error of the transport.
+    /// Receives and builds a set-up, and reports progress. `parts` yields the bytes of files, each with the index of its file;
+    /// `refuse` makes an error of the transport.
     pub async fn create_setup<E>(
         &self,
         caller: &Principal,
@@ -42,20 +42,20 @@ impl Meshes {
     ) -> Result<v1::CreatedSetup, E> {
         let mut receiving = self.service.receive(caller, header).map_err(&refuse)?;
         let mut told = 0.0;
-        tell(convert::progress(receiving.progress()));
+        tell(convert::status::progress(receiving.progress()));
         while let Some((file, data)) = parts.next().await.transpose()? {
             receiving.append(file, &data).map_err(&refuse)?;
             let progress = receiving.progress();
             if progress.fraction >= told + 0.01 {
                 told = progress.fraction;
-                tell(convert::progress(progress));
+                tell(convert::status::progress(progress));
             }
         }
         let uploaded = receiving.finish().map_err(&refuse)?;
-        let tell = |progress| tell(convert::progress(progress));
+        let tell = |progress| tell(convert::status::progress(progress));
         let created = self.service.create_setup(caller, uploaded, tell).await.map_err(refuse)?;
         Span::current().record("setup", created.setup.id.as_str());
-        Ok(convert::created(&created))
+        Ok(convert::setups::created(&created))
     }
 
     pub async fn get_setup(
@@ -63,14 +63,14 @@ impl Meshes {
         caller: &Principal,
         request: v1::GetSetupRequest,
     ) -> Answer<v1::GetSetupResponse> {
-        on_setup(&request.setup_id);
+        record_setup(&request.setup_id);
         let SetupView { setup, access } = self.service.get_setup(caller, &request.setup_id).await?;
-        let mesh = request.include_mesh.then(|| convert::mesh(&setup));
+        let mesh = request.include_mesh.then(|| convert::setups::mesh(&setup));
         let control_points = match request.include_control_points {
-            true => convert::control_points(&setup)?,
+            true => convert::setups::control_points(&setup)?,
             false => Vec::new(),
         };
-        let setup = Some(convert::description(&setup, &access));
+        let setup = Some(convert::setups::description(&setup, &access));
         Ok(v1::GetSetupResponse { setup, mesh, control_points })
     }
 
@@ -79,8 +79,8 @@ impl Meshes {
         caller: &Principal,
         v1::ListSetupsRequest { page_size, page_token }: v1::ListSetupsRequest,
     ) -> Answer<v1::ListSetupsResponse> {
-        let page = convert::page(page_size, page_token);
-        Ok(convert::listed_setups(self.service.list_setups(caller, &page).await?))
+        let page = convert::status::page(page_size, page_token);
+        Ok(convert::setups::listed_setups(self.service.list_setups(caller, &page).await?))
     }
 
     pub async fn share_setup(
@@ -88,11 +88,11 @@ impl Meshes {
         caller: &Principal,
         request: v1::ShareSetupRequest,
     ) -> Answer<v1::ShareSetupResponse> {
-        on_setup(&request.setup_id);
-        let visibility = convert::visibility("", request.visibility, request.shared_with)?;
+        record_setup(&request.setup_id);
+        let visibility = convert::setups::visibility("", request.visibility, request.shared_with)?;
         let visibility = visibility.ok_or_else(|| ServiceError::invalid("visibility", "is missing"))?;
         let access = self.service.share_setup(caller, &request.setup_id, visibility).await?;
-        Ok(v1::ShareSetupResponse { access: Some(convert::access(&access)) })
+        Ok(v1::ShareSetupResponse { access: Some(convert::setups::access(&access)) })
     }
 
     pub async fn delete_setup(
@@ -100,7 +100,7 @@ impl Meshes {
         caller: &Principal,
         request: v1::DeleteSetupRequest,
     ) -> Answer<v1::DeleteSetupResponse> {
-        on_setup(&request.setup_id);
+        record_setup(&request.setup_id);
         self.service.delete_setup(caller, &request.setup_id).await?;
         Ok(v1::DeleteSetupResponse {})
     }
@@ -110,11 +110,11 @@ impl Meshes {
         caller: &Principal,
         v1::OpenSessionRequest { setup_id, request_id, label }: v1::OpenSessionRequest,
     ) -> Answer<v1::OpenSessionResponse> {
-        on_setup(&setup_id);
+        record_setup(&setup_id);
         let session = self.service.open_session(caller, &setup_id, &label, &request_id).await?;
-        on_session(&session.id);
+        record_session(&session.id);
         let session_id = session.id.clone();
-        Ok(v1::OpenSessionResponse { session_id, session: Some(convert::session(session)) })
+        Ok(v1::OpenSessionResponse { session_id, session: Some(convert::sessions::session(session)) })
     }
 
     pub async fn get_session(
@@ -122,9 +122,9 @@ impl Meshes {
         caller: &Principal,
         request: v1::GetSessionRequest,
     ) -> Answer<v1::GetSessionResponse> {
-        on_session(&request.session_id);
+        record_session(&request.session_id);
         let session = self.service.get_session(caller, &request.session_id).await?;
-        Ok(v1::GetSessionResponse { session: Some(convert::session(session)) })
+        Ok(v1::GetSessionResponse { session: Some(convert::sessions::session(session)) })
     }
 
     pub async fn list_sessions(
@@ -132,8 +132,8 @@ impl Meshes {
         caller: &Principal,
         v1::ListSessionsRequest { page_size, page_token }: v1::ListSessionsRequest,
     ) -> Answer<v1::ListSessionsResponse> {
-        let page = convert::page(page_size, page_token);
-        Ok(convert::listed_sessions(self.service.list_sessions(caller, &page).await?))
+        let page = convert::status::page(page_size, page_token);
+        Ok(convert::sessions::listed_sessions(self.service.list_sessions(caller, &page).await?))
     }
 
     pub async fn update_session(
@@ -141,11 +141,11 @@ impl Meshes {
         caller: &Principal,
         request: v1::UpdateSessionRequest,
     ) -> Answer<v1::UpdateSessionResponse> {
-        on_session(&request.session_id);
+        record_session(&request.session_id);
         let session_id = request.session_id.clone();
-        let update = convert::update(request)?;
+        let update = convert::sessions::update(request)?;
         let session = self.service.update_session(caller, &session_id, update).await?;
-        Ok(v1::UpdateSessionResponse { session: Some(convert::session(session)) })
+        Ok(v1::UpdateSessionResponse { session: Some(convert::sessions::session(session)) })
     }
 
     pub async fn close_session(
@@ -153,17 +153,17 @@ impl Meshes {
         caller: &Principal,
         request: v1::CloseSessionRequest,
     ) -> Answer<v1::CloseSessionResponse> {
-        on_session(&request.session_id);
+        record_session(&request.session_id);
         self.service.close_session(caller, &request.session_id).await?;
         Ok(v1::CloseSessionResponse {})
     }
 
     pub async fn deform(&self, caller: &Principal, request: v1::DeformRequest) -> Answer<v1::DeformResponse> {
         let v1::DeformRequest { session_id, input, control_points, include_cell_quality } = request;
-        on_session(&session_id);
-        let design = convert::design(input, control_points)?;
+        record_session(&session_id);
+        let design = convert::sessions::design(input, control_points)?;
         let deformed = self.service.deform(caller, &session_id, design).await?;
-        Ok(convert::deformed(&deformed, include_cell_quality))
+        Ok(convert::sessions::deformed(&deformed, include_cell_quality))
     }
 
     pub async fn apply_jacobian_vector(
@@ -172,10 +172,10 @@ impl Meshes {
         request: v1::ApplyJacobianVectorRequest,
     ) -> Answer<v1::ApplyJacobianVectorResponse> {
         let v1::ApplyJacobianVectorRequest { session_id, at, design, control_points } = request;
-        on_session(&session_id);
-        let at = convert::at(at)?;
-        let directions = convert::directions(design, control_points)?;
-        Ok(convert::jvp(&self.service.jvp(caller, &session_id, at, directions).await?))
+        record_session(&session_id);
+        let at = convert::derivatives::at(at)?;
+        let directions = convert::derivatives::directions(design, control_points)?;
+        Ok(convert::derivatives::jvp(&self.service.jvp(caller, &session_id, at, directions).await?))
     }
 
     pub async fn apply_adjoint(
@@ -183,27 +183,29 @@ impl Meshes {
         caller: &Principal,
         request: v1::ApplyAdjointRequest,
     ) -> Answer<v1::ApplyAdjointResponse> {
-        on_session(&request.session_id);
-        let at = convert::at(request.at)?;
-        let seeds = convert::seeds(request.vertices, request.functions)?;
+        record_session(&request.session_id);
+        let at = convert::derivatives::at(request.at)?;
+        let seeds = convert::derivatives::seeds(request.vertices, request.functions)?;
         let wanted = Wanted { design: request.include_design, control_points: request.control_points_of };
-        Ok(convert::vjp(&self.service.vjp(caller, &request.session_id, at, seeds, wanted).await?))
+        Ok(convert::derivatives::vjp(
+            &self.service.vjp(caller, &request.session_id, at, seeds, wanted).await?,
+        ))
     }
 
-    /// The columns, computed apart from the request as fast as somebody takes them; an error is the last.
+    /// Streams the columns, computed in a task of their own as fast as the receiver takes them. An error ends the stream.
     pub fn jacobian(
         &self,
         caller: Principal,
         deadline: Deadline,
         request: v1::JacobianRequest,
     ) -> mpsc::Receiver<Answer<v1::JacobianResponse>> {
-        // A client that reads slowly holds up its own columns only, and few of them are waiting.
+        // Bounded: a client that reads slowly delays its own columns only, and few of them wait.
         let (sender, columns) = mpsc::channel(4);
-        let meshes = self.clone();
+        let api = self.clone();
         let work = async move {
             let outcome = tokio::select! {
-                outcome = deadline.limit(meshes.columns(&caller, request, &sender), |error| error) => outcome,
-                // The client has gone, and with this future the interest in what is computed.
+                outcome = deadline.limit(api.columns(&caller, request, &sender), |error| error) => outcome,
+                // The client has left: dropping this future cancels the computation.
                 () = sender.closed() => return,
             };
             if let Err(error) = outcome {
@@ -214,7 +216,7 @@ impl Meshes {
         columns
     }
 
-    /// Computes the columns in large blocks, and sends them in messages of about 1 MiB.
+    /// Computes the columns in large blocks and sends them in messages of about 1 MiB.
     async fn columns(
         &self,
         caller: &Principal,
@@ -222,8 +224,8 @@ impl Meshes {
         sender: &mpsc::Sender<Answer<v1::JacobianResponse>>,
     ) -> Answer<()> {
         const MESSAGE: usize = 1 << 20;
-        on_session(&session_id);
-        let at = convert::at(at)?;
+        record_session(&session_id);
+        let at = convert::derivatives::at(at)?;
         let Product { value: at, mut timing } = self.service.linearised(caller, &session_id, at).await?;
         let columns = at.columns();
         let mut first = 0;
@@ -231,9 +233,10 @@ impl Meshes {
             let block = self.service.jacobian(caller, &at, first).await?;
             timing = timing + block.timing;
             let bytes = block.value.first().map_or(1, |column| size_of_val(&column.vertices[..]).max(1));
-            for some in block.value.chunks((MESSAGE / bytes).max(1)) {
-                let message = convert::jacobian(first, columns, some, std::mem::take(&mut timing));
-                first += some.len();
+            for part in block.value.chunks((MESSAGE / bytes).max(1)) {
+                let message =
+                    convert::derivatives::jacobian(first, columns, part, std::mem::take(&mut timing));
+                first += part.len();
                 if sender.send(Ok(message)).await.is_err() {
                     return Ok(());
                 }
@@ -242,28 +245,28 @@ impl Meshes {
         Ok(())
     }
 
-    /// Checks derivatives apart from the request, and tells about it; the report or an error is the last.
+    /// Checks derivatives in a task of its own. Progress comes first; the report or an error is the last item.
     pub fn check(
         &self,
         caller: Principal,
         deadline: Deadline,
         request: v1::CheckRequest,
     ) -> mpsc::UnboundedReceiver<Answer<v1::CheckResponse>> {
-        // Events are few, so the channel need not be bounded.
+        // Unbounded, since events are few.
         let (sender, events) = mpsc::unbounded_channel();
         let service = Arc::clone(&self.service);
         let work = async move {
             let check = async {
-                let (setup_id, asked) = convert::check::request(request)?;
-                on_setup(&setup_id);
+                let (setup_id, request) = convert::check::request(request)?;
+                record_setup(&setup_id);
                 let tell = |progress| {
                     let _ = sender.send(Ok(convert::check::progress(progress)));
                 };
-                service.check(&caller, &setup_id, asked, tell).await
+                service.check(&caller, &setup_id, request, tell).await
             };
             let outcome = tokio::select! {
                 outcome = deadline.limit(check, |error| error) => outcome,
-                // The client has gone, and with this future the interest in the check.
+                // The client has left: dropping this future cancels the check.
                 () = sender.closed() => return,
             };
             let _ = sender.send(outcome.map(|report| convert::check::report(&report)));
@@ -277,14 +280,16 @@ impl Meshes {
         caller: &Principal,
         v1::GetStatusRequest {}: v1::GetStatusRequest,
     ) -> Answer<v1::GetStatusResponse> {
-        Ok(convert::status(self.service.status(caller).await?))
+        Ok(convert::status::status(self.service.status(caller).await?))
     }
 }
 
-fn on_setup(id: &str) {
+/// Names the set-up in the request's span.
+fn record_setup(id: &str) {
     Span::current().record("setup", id);
 }
 
-fn on_session(id: &str) {
+/// Names the session in the request's span.
+fn record_session(id: &str) {
     Span::current().record("session", id);
 }

@@ -12,13 +12,13 @@ use prost::Message;
 use serde_json::json;
 use tonic::{Request, Status, metadata::MetadataValue, transport::Channel};
 
-use crate::testing::{Answer, Server, ball};
+use crate::harness::{Answer, Server, ball};
 
-/// A credential, and what it is expected to give.
+/// A credential, and the answers that it should get.
 struct Caller {
     name: &'static str,
     token: Option<String>,
-    /// Of calls that only look, and of those that do something.
+    /// Answers to calls that only read, and to those that change or compute something.
     sees: Expected,
     does: Expected,
 }
@@ -26,7 +26,7 @@ struct Caller {
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Expected {
     Ok,
-    /// Of another tenant's things; lists are empty.
+    /// For objects of another tenant; lists are empty.
     NotFound,
     Denied,
     Unauthenticated,
@@ -55,7 +55,7 @@ fn only_looks(rpc: &str) -> bool {
     rpc.starts_with("Get") || rpc.starts_with("List")
 }
 
-/// Calls that name nothing of another's.
+/// Calls that name no object of another tenant.
 fn names_nothing(rpc: &str) -> bool {
     matches!(rpc, "CreateSetup" | "ListSetups" | "ListSessions" | "GetStatus")
 }
@@ -74,7 +74,7 @@ fn functions(count: u64) -> Option<v1::Array> {
     ones(&[1, count])
 }
 
-/// Which ball is uploaded: while there is no set-up yet, anna's; then another, so that nobody else comes to own hers.
+/// The ball to upload: anna's while there is no set-up yet; then another one, so that no other tenant becomes an owner of hers.
 fn another(setup: &str) -> &'static str {
     if setup.is_empty() { "ball" } else { "another" }
 }
@@ -269,7 +269,7 @@ async fn every_rpc_asks_who_calls_and_whether_they_may() {
             };
             let (code, status) = expected.codes();
             for transport in ["grpc", "http"] {
-                // Things of anna's, new ones for each call.
+                // A new set-up and session of anna's for each call.
                 let created = http(&server, Some(&user), "CreateSetup", ("", ""), 0).await.json();
                 let setup = created["setup_id"].as_str().unwrap().to_owned();
                 let count = created["setup"]["functions"].as_array().unwrap().len() as u64;
@@ -310,7 +310,7 @@ async fn every_rpc_asks_who_calls_and_whether_they_may() {
                         _ => None,
                     };
                     if let (Some(list), Fine, "other" | "other admin") = (list, expected, *name) {
-                        // What bert has made in this table is bert's alone.
+                        // Lists of bert's have only objects that bert made in this table.
                         assert!(!String::from_utf8_lossy(&answer.body).contains(&session), "{what}");
                         let all = answer.json();
                         let owned = |entry: &serde_json::Value| {
@@ -355,7 +355,7 @@ async fn metrics_are_for_administrators_and_probes_for_everybody() {
     health.check(tonic_health::pb::HealthCheckRequest::default()).await.unwrap();
 }
 
-/// A certificate authority, with what it signs.
+/// A certificate authority that signs certificates.
 struct Authority {
     issuer: rcgen::CertifiedIssuer<'static, rcgen::KeyPair>,
 }
@@ -430,11 +430,11 @@ async fn certificates_name_their_tenants_over_tls() {
     let (anna, bert) =
         (authority.sign("anna", None, &[]), authority.sign("x", Some("moldline://bert/reader"), &[]));
     assert_eq!(ask(Some(anna)).await, (Ok(()), Ok(1)));
-    // Another tenant, who may only look, and sees nothing of it.
+    // Another tenant may only read, and does not see the set-up.
     assert_eq!(ask(Some(bert)).await, (Err(tonic::Code::PermissionDenied), Ok(0)));
     let nameless = authority.sign("Not A Tenant", None, &[]);
     assert_eq!(ask(Some(nameless)).await.1, Err(tonic::Code::Unauthenticated));
-    // No certificate, or a stranger's: the handshake fails.
+    // Without a certificate, or with one of an unknown authority, the handshake fails.
     let stranger = Authority::new().sign("anna", None, &[]);
     for identity in [None, Some(stranger)] {
         let refused = ask(identity).await;

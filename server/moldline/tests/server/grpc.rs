@@ -1,9 +1,10 @@
-//! The transport, with a real client over loopback.
+//! The gRPC transport, with a real client over loopback.
 
 use moldline_proto::v1::{
     self, create_setup_request::Part, create_setup_response::Event, deform_request::Input,
     mesh_service_client::MeshServiceClient,
 };
+use moldline_transport::Health;
 use tokio_stream::StreamExt;
 use tonic::{Code, Status, transport::Channel};
 use tonic_health::pb::{
@@ -12,8 +13,7 @@ use tonic_health::pb::{
 use tonic_reflection::pb::{v1 as reflection, v1alpha as reflection_alpha};
 use tonic_types::StatusExt;
 
-use super::*;
-use crate::testing::{Server, ball};
+use crate::harness::{Server, ball};
 
 async fn serve() -> (Channel, Health) {
     let server = Server::start().await;
@@ -95,7 +95,7 @@ async fn a_set_up_goes_up_in_chunks_and_comes_back_described() {
     assert_eq!((status.code(), field(&status)), (Code::NotFound, "session_id".to_owned()));
 }
 
-/// The ball moves along x: so do all its vertices, by a metre a metre.
+/// The ball moves along x, and all its vertices with it, by one metre per metre.
 async fn derivatives(
     client: &mut MeshServiceClient<Channel>,
     description: &v1::SetupDescription,

@@ -1,4 +1,4 @@
-//! What messages look like in JSON: arrays as nested lists, enumerations as words.
+//! Writing of messages: arrays as nested lists, enumerations as words.
 
 use serde::{
     Serialize, Serializer,
@@ -14,7 +14,7 @@ use utoipa::{
 
 use crate::v1::{Array, DataType};
 
-/// Part of an array: its dimensions from one on, and their elements.
+/// Part of an array: its dimensions from some axis on, and their elements.
 struct Part<'a> {
     dtype: DataType,
     shape: &'a [u64],
@@ -66,7 +66,7 @@ impl Serialize for Array {
 impl PartialSchema for Array {
     fn schema() -> RefOr<Schema> {
         let description =
-            "Numbers in nested lists, one level for each dimension. What is not finite is null.";
+            "Numbers in nested lists, one level for each dimension. Numbers that are not finite are null.";
         let anything = ObjectBuilder::new().schema_type(SchemaType::AnyValue);
         ArrayBuilder::new().items(anything).description(Some(description)).build().into()
     }
@@ -74,7 +74,7 @@ impl PartialSchema for Array {
 
 impl ToSchema for Array {}
 
-/// An enumeration, which prost keeps as a number, as a word.
+/// The word of an enumeration, which prost keeps as a number.
 pub fn word<E: TryFrom<i32> + Default + Serialize, S: Serializer>(
     value: &i32,
     serializer: S,

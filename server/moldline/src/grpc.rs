@@ -1,7 +1,4 @@
-//! The gRPC transport: thin. What an RPC does is in `mesh`.
-
-#[cfg(test)]
-mod tests;
+//! The gRPC transport of the mesh service: it wraps [`MeshApi`].
 
 use std::pin::Pin;
 
@@ -20,24 +17,24 @@ use v1::{
     mesh_service_server::{MeshService, MeshServiceServer},
 };
 
-use crate::{convert, mesh::Meshes};
+use crate::{api::MeshApi, convert};
 
 /// The name of the mesh service.
-pub const MESHES: &str = <MeshServiceServer<Grpc> as tonic::server::NamedService>::NAME;
+const SERVICE: &str = <MeshServiceServer<Grpc> as tonic::server::NamedService>::NAME;
 
-/// The mesh service, whose callers are asked who they are; and for everybody health, and reflection in both its versions.
+/// The routes of the mesh service, which need a principal, and the open routes of [`open_routes`].
 pub async fn routes(
-    meshes: Meshes,
+    api: MeshApi,
     max_message: usize,
 ) -> Result<(Routes, Routes, Health), tonic_reflection::server::Error> {
-    let (open, health) = open_routes(MESHES).await?;
-    let meshes = MeshServiceServer::new(Grpc { meshes })
+    let (open, health) = open_routes(SERVICE).await?;
+    let service = MeshServiceServer::new(Grpc { api })
         .max_decoding_message_size(max_message)
         .max_encoding_message_size(usize::MAX);
-    Ok((Routes::new(meshes), open, health))
+    Ok((Routes::new(service), open, health))
 }
 
-/// What everybody may ask about the service of that name: health, and reflection in both its versions.
+/// Routes of a service that need no principal: health, and reflection in both its versions.
 pub async fn open_routes(service: &'static str) -> Result<(Routes, Health), tonic_reflection::server::Error> {
     let (health, answers) = Health::new(&[service]).await;
     let reflection = || {
@@ -54,15 +51,16 @@ pub async fn open_routes(service: &'static str) -> Result<(Routes, Health), toni
 
 /// The mesh service on the wire.
 pub struct Grpc {
-    meshes: Meshes,
+    api: MeshApi,
 }
 
-/// Who calls, how long the answer is waited for, and what is asked.
+/// Caller, deadline and message of a request.
 pub fn open<T>(mut request: Request<T>) -> Result<(Principal, Deadline, T), Status> {
     let deadline = request.extensions().get().copied().unwrap_or_default();
-    let caller = request.extensions_mut().remove::<Principal>().ok_or_else(|| {
-        status(ServiceError::new(Code::Internal, "the request came past the question who sent it"))
-    })?;
+    let caller = request
+        .extensions_mut()
+        .remove::<Principal>()
+        .ok_or_else(|| status(ServiceError::new(Code::Internal, "the request was not authenticated")))?;
     Ok((caller, deadline, request.into_inner()))
 }
 
@@ -80,11 +78,11 @@ impl MeshService for Grpc {
     ) -> Result<Response<Events>, Status> {
         let (caller, deadline, parts) = open(request)?;
         let (sender, events) = mpsc::unbounded_channel();
-        let meshes = self.meshes.clone();
+        let api = self.api.clone();
         let work = async move {
             let outcome = tokio::select! {
-                outcome = deadline.limit(create_setup(&meshes, &caller, parts, &sender), status) => outcome,
-                // The client has gone: the upload and the interest in the build go with this future.
+                outcome = deadline.limit(create_setup(&api, &caller, parts, &sender), status) => outcome,
+                // The client has left: dropping this future cancels the upload and the build.
                 () = sender.closed() => return,
             };
             let _ = sender.send(outcome.map(|created| event(Event::Created(created))));
@@ -97,7 +95,7 @@ impl MeshService for Grpc {
 
     async fn jacobian(&self, request: Request<v1::JacobianRequest>) -> Result<Response<Columns>, Status> {
         let (caller, deadline, request) = open(request)?;
-        let columns = ReceiverStream::new(self.meshes.jacobian(caller, deadline, request));
+        let columns = ReceiverStream::new(self.api.jacobian(caller, deadline, request));
         Ok(Response::new(Box::pin(columns.map(|block| block.map_err(status)))))
     }
 
@@ -106,7 +104,7 @@ impl MeshService for Grpc {
         request: Request<v1::GetSetupRequest>,
     ) -> Result<Response<v1::GetSetupResponse>, Status> {
         let (caller, _, request) = open(request)?;
-        answer(self.meshes.get_setup(&caller, request).await)
+        answer(self.api.get_setup(&caller, request).await)
     }
 
     async fn list_setups(
@@ -114,7 +112,7 @@ impl MeshService for Grpc {
         request: Request<v1::ListSetupsRequest>,
     ) -> Result<Response<v1::ListSetupsResponse>, Status> {
         let (caller, _, request) = open(request)?;
-        answer(self.meshes.list_setups(&caller, request).await)
+        answer(self.api.list_setups(&caller, request).await)
     }
 
     async fn share_setup(
@@ -122,7 +120,7 @@ impl MeshService for Grpc {
         request: Request<v1::ShareSetupRequest>,
     ) -> Result<Response<v1::ShareSetupResponse>, Status> {
         let (caller, _, request) = open(request)?;
-        answer(self.meshes.share_setup(&caller, request).await)
+        answer(self.api.share_setup(&caller, request).await)
     }
 
     async fn delete_setup(
@@ -130,7 +128,7 @@ impl MeshService for Grpc {
         request: Request<v1::DeleteSetupRequest>,
     ) -> Result<Response<v1::DeleteSetupResponse>, Status> {
         let (caller, _, request) = open(request)?;
-        answer(self.meshes.delete_setup(&caller, request).await)
+        answer(self.api.delete_setup(&caller, request).await)
     }
 
     async fn open_session(
@@ -138,7 +136,7 @@ impl MeshService for Grpc {
         request: Request<v1::OpenSessionRequest>,
     ) -> Result<Response<v1::OpenSessionResponse>, Status> {
         let (caller, _, request) = open(request)?;
-        answer(self.meshes.open_session(&caller, request).await)
+        answer(self.api.open_session(&caller, request).await)
     }
 
     async fn get_session(
@@ -146,7 +144,7 @@ impl MeshService for Grpc {
         request: Request<v1::GetSessionRequest>,
     ) -> Result<Response<v1::GetSessionResponse>, Status> {
         let (caller, _, request) = open(request)?;
-        answer(self.meshes.get_session(&caller, request).await)
+        answer(self.api.get_session(&caller, request).await)
     }
 
     async fn list_sessions(
@@ -154,7 +152,7 @@ impl MeshService for Grpc {
         request: Request<v1::ListSessionsRequest>,
     ) -> Result<Response<v1::ListSessionsResponse>, Status> {
         let (caller, _, request) = open(request)?;
-        answer(self.meshes.list_sessions(&caller, request).await)
+        answer(self.api.list_sessions(&caller, request).await)
     }
 
     async fn update_session(
@@ -162,7 +160,7 @@ impl MeshService for Grpc {
         request: Request<v1::UpdateSessionRequest>,
     ) -> Result<Response<v1::UpdateSessionResponse>, Status> {
         let (caller, _, request) = open(request)?;
-        answer(self.meshes.update_session(&caller, request).await)
+        answer(self.api.update_session(&caller, request).await)
     }
 
     async fn close_session(
@@ -170,7 +168,7 @@ impl MeshService for Grpc {
         request: Request<v1::CloseSessionRequest>,
     ) -> Result<Response<v1::CloseSessionResponse>, Status> {
         let (caller, _, request) = open(request)?;
-        answer(self.meshes.close_session(&caller, request).await)
+        answer(self.api.close_session(&caller, request).await)
     }
 
     async fn deform(
@@ -178,7 +176,7 @@ impl MeshService for Grpc {
         request: Request<v1::DeformRequest>,
     ) -> Result<Response<v1::DeformResponse>, Status> {
         let (caller, _, request) = open(request)?;
-        answer(self.meshes.deform(&caller, request).await)
+        answer(self.api.deform(&caller, request).await)
     }
 
     async fn apply_jacobian_vector(
@@ -186,7 +184,7 @@ impl MeshService for Grpc {
         request: Request<v1::ApplyJacobianVectorRequest>,
     ) -> Result<Response<v1::ApplyJacobianVectorResponse>, Status> {
         let (caller, _, request) = open(request)?;
-        answer(self.meshes.apply_jacobian_vector(&caller, request).await)
+        answer(self.api.apply_jacobian_vector(&caller, request).await)
     }
 
     async fn apply_adjoint(
@@ -194,7 +192,7 @@ impl MeshService for Grpc {
         request: Request<v1::ApplyAdjointRequest>,
     ) -> Result<Response<v1::ApplyAdjointResponse>, Status> {
         let (caller, _, request) = open(request)?;
-        answer(self.meshes.apply_adjoint(&caller, request).await)
+        answer(self.api.apply_adjoint(&caller, request).await)
     }
 
     async fn get_status(
@@ -202,18 +200,19 @@ impl MeshService for Grpc {
         request: Request<v1::GetStatusRequest>,
     ) -> Result<Response<v1::GetStatusResponse>, Status> {
         let (caller, _, request) = open(request)?;
-        answer(self.meshes.get_status(&caller, request).await)
+        answer(self.api.get_status(&caller, request).await)
     }
 
     type CheckStream = Checks;
 
     async fn check(&self, request: Request<v1::CheckRequest>) -> Result<Response<Checks>, Status> {
         let (caller, deadline, request) = open(request)?;
-        let events = UnboundedReceiverStream::new(self.meshes.check(caller, deadline, request));
+        let events = UnboundedReceiverStream::new(self.api.check(caller, deadline, request));
         Ok(Response::new(Box::pin(events.map(|event| event.map_err(status)))))
     }
 }
 
+/// An answer or an error of the service, for tonic.
 pub fn answer<T>(outcome: Result<T, ServiceError>) -> Result<Response<T>, Status> {
     outcome.map(Response::new).map_err(status)
 }
@@ -222,23 +221,23 @@ fn event(event: Event) -> v1::CreateSetupResponse {
     v1::CreateSetupResponse { event: Some(event) }
 }
 
-/// Receives, builds, and tells about it. Events are few, so the channel need not be bounded.
+/// Receives and builds a set-up, and sends progress. The channel is unbounded, since events are few.
 async fn create_setup(
-    meshes: &Meshes,
+    api: &MeshApi,
     caller: &Principal,
     mut parts: Streaming<v1::CreateSetupRequest>,
     events: &mpsc::UnboundedSender<Result<v1::CreateSetupResponse, Status>>,
 ) -> Result<v1::CreatedSetup, Status> {
     let header = match parts.message().await? {
-        Some(part) => convert::header(part).map_err(status)?,
+        Some(part) => convert::setups::header(part).map_err(status)?,
         None => return Err(status(ServiceError::invalid("header", "is missing: nothing was sent"))),
     };
     let parts = parts.map(|part| {
-        let chunk = convert::chunk(part?).map_err(status)?;
+        let chunk = convert::setups::chunk(part?).map_err(status)?;
         Ok((chunk.file as usize, chunk.data))
     });
     let tell = |progress| {
         let _ = events.send(Ok(event(Event::Progress(progress))));
     };
-    meshes.create_setup(caller, header, parts, tell, status).await
+    api.create_setup(caller, header, parts, tell, status).await
 }

@@ -4,7 +4,7 @@ use moldline_service::Limits;
 use moldline_transport::Access;
 use serde_json::{Value, json};
 
-use crate::testing::{Answer, Server, ball};
+use crate::harness::{Answer, Server, ball};
 
 const NPY: &str = "application/x-npy";
 const NPZ: &str = "application/x-npz";
@@ -71,7 +71,7 @@ async fn all_kinds_of_bodies_give_the_same_numbers() {
     assert_eq!(id, document["linearisation_id"]);
     assert!(octets.headers["server-timing"].contains("engine;dur="));
 
-    // .npy both ways: what follows the header are the same bytes.
+    // .npy both ways: the same bytes follow the header.
     let mut file = moldline_transport::npy::header(moldline_proto::v1::DataType::Float64, &[1]);
     file.extend(&design);
     let npy = server.ask("POST", &deform, &[("content-type", NPY), ("accept", NPY)], &file).await;
@@ -210,13 +210,7 @@ async fn an_operation_can_be_polled() {
     let accepted = upload(&server, &[("prefer", "respond-async")]).await;
     assert_eq!(accepted.status, 202);
     let location = accepted.headers["location"].clone();
-    let done = loop {
-        let operation = server.ask("GET", &location, &[], b"").await.json();
-        if operation["done"] == true {
-            break operation;
-        }
-        tokio::time::sleep(std::time::Duration::from_millis(10)).await;
-    };
+    let done = server.eventually(&location, |operation| operation.json()["done"] == true).await.json();
     let setup = done["created"]["setup_id"].as_str().unwrap();
     assert_eq!(server.ask("GET", &format!("/v1/setups/{setup}"), &[], b"").await.status, 200);
     assert_eq!(server.ask("DELETE", &location, &[], b"").await.status, 204);
@@ -225,12 +219,8 @@ async fn an_operation_can_be_polled() {
     let headers = [("content-type", "application/json"), ("prefer", "respond-async")];
     let refused = server.ask("POST", "/v1/setups", &headers, b"{\"format\": 99}").await;
     assert_eq!(refused.status, 202);
-    let operation = loop {
-        let operation = server.ask("GET", &refused.headers["location"], &[], b"").await.json();
-        if operation["done"] == true {
-            break operation;
-        }
-    };
+    let location = &refused.headers["location"];
+    let operation = server.eventually(location, |operation| operation.json()["done"] == true).await.json();
     assert_eq!(operation["problem"]["code"], "INVALID_ARGUMENT");
 }
 
@@ -294,7 +284,7 @@ async fn bad_bodies_are_refused_before_they_cost_anything() {
             String::from_utf8_lossy(&answer.body)
         );
     }
-    // Others are still served.
+    // Other requests are still served.
     assert_eq!(server.json("POST", &deform, serde_json::json!({})).await.status, 200);
 }
 
@@ -367,10 +357,10 @@ async fn deadlines_are_kept() {
 #[tokio::test]
 async fn every_rpc_has_a_route_and_every_route_is_described() {
     let server = Server::start().await;
-    compare_routes_with_rpcs(&server, crate::grpc::MESHES).await;
+    compare_routes_with_rpcs(&server, "moldline.v1.MeshService").await;
 }
 
-/// The description is made from the routes, so it has them all; what it cannot know is whether every RPC has one.
+/// Checks that every RPC has a route. (The description is made from the routes, so it has them all.)
 pub async fn compare_routes_with_rpcs(server: &Server, service: &str) {
     let described = server.ask("GET", "/openapi.json", &[], b"").await.json();
     assert!(described["openapi"].as_str().unwrap().starts_with("3.1"));
@@ -378,7 +368,7 @@ pub async fn compare_routes_with_rpcs(server: &Server, service: &str) {
     for (path, item) in described["paths"].as_object().unwrap() {
         for (method, operation) in item.as_object().unwrap() {
             operations.push(operation["operationId"].as_str().unwrap().to_owned());
-            // A route that is described is there: it does not answer 404 or 405 for want of a route.
+            // A described route exists: it does not answer 404 or 405 for want of a route.
             let concrete = path.split('/').map(|part| if part.starts_with('{') { "x" } else { part });
             let concrete = concrete.collect::<Vec<_>>().join("/");
             let answer = server.ask(&method.to_uppercase(), &concrete, &[], b"").await;

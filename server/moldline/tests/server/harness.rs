@@ -1,7 +1,8 @@
-//! A real server on a real port, and plain clients of it.
+//! A real server on a real port, and plain clients.
 
-use std::{collections::HashMap, net::SocketAddr, sync::Arc};
+use std::{collections::HashMap, net::SocketAddr, sync::Arc, time::Duration};
 
+use moldline::{panel, serve, shell::Parts, telemetry};
 use moldline_panel_service::PanelService;
 use moldline_service::{ComputePool, Limits, PoolLimits, Service};
 use moldline_transport::{Access, Health, Port, Surroundings, router, start_metrics};
@@ -11,9 +12,7 @@ use tokio::{
 };
 use tonic::transport::Channel;
 
-use crate::{panel, serve, shell::Parts, telemetry};
-
-#[path = "../../service/tests/ball/mod.rs"]
+#[path = "../../../service/tests/ball/mod.rs"]
 pub mod ball;
 
 const POOL: PoolLimits = PoolLimits { threads: 2, running: 2, queued: 8 };
@@ -37,7 +36,7 @@ impl Server {
         Self::serving(serve::parts(service, 64 << 20).await.unwrap(), access, tls).await
     }
 
-    /// The panel method, with so many bytes for its analyses.
+    /// The panel method's service, with `solution_bytes` for its analyses.
     pub async fn panels(solution_bytes: u64) -> Self {
         let limits = moldline_panel_service::Limits { solution_bytes, ..Default::default() };
         let pool = Arc::new(ComputePool::new(POOL, usize::MAX).unwrap());
@@ -62,6 +61,25 @@ impl Server {
         Self { address, health }
     }
 
+    /// Asks until the answer is as expected, and returns it.
+    ///
+    /// # Panics
+    /// After ten seconds.
+    pub async fn eventually(&self, path: &str, expected: impl Fn(&Answer) -> bool) -> Answer {
+        let poll = async {
+            loop {
+                let answer = self.ask("GET", path, &[], b"").await;
+                if expected(&answer) {
+                    return answer;
+                }
+                tokio::time::sleep(Duration::from_millis(10)).await;
+            }
+        };
+        tokio::time::timeout(Duration::from_secs(10), poll)
+            .await
+            .expect("the expected answer within ten seconds")
+    }
+
     pub async fn channel(&self) -> Channel {
         Channel::from_shared(format!("http://{}", self.address)).unwrap().connect().await.unwrap()
     }
@@ -78,14 +96,14 @@ impl Server {
         }
         let mut stream = TcpStream::connect(self.address).await.unwrap();
         stream.write_all(format!("{head}\r\n").as_bytes()).await.unwrap();
-        // A server that refuses early need not read it all.
+        // A server that refuses early need not read the whole body.
         let _ = stream.write_all(body).await;
         let mut bytes = Vec::new();
         let _ = stream.read_to_end(&mut bytes).await;
         Answer::parse(&bytes)
     }
 
-    /// The same with a JSON document.
+    /// One request with a JSON document.
     pub async fn json(&self, method: &str, path: &str, body: serde_json::Value) -> Answer {
         let body = body.to_string();
         self.ask(method, path, &[("content-type", "application/json")], body.as_bytes()).await
