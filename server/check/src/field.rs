@@ -19,8 +19,8 @@ const REFINEMENTS: usize = 3;
 /// The factorised system of a field.
 pub struct System {
     kernel: Kernel,
-    /// c^2 of the linear kernel.
-    rounding: f64,
+    /// c^2 of the multiquadric.
+    shape_squared: f64,
     /// What is added to the diagonal.
     regularisation: f64,
     /// A power of two, so that nothing is rounded.
@@ -60,7 +60,7 @@ impl System {
         let n = centres.len();
         let mut system = Self {
             kernel: options.kernel(),
-            rounding: field.rounding() * (extent * scale).powi(2),
+            shape_squared: field.shape_squared() * (extent * scale).powi(2),
             regularisation: 0.0,
             scale,
             centres: centres.iter().map(|c| c * scale).collect(),
@@ -83,7 +83,7 @@ impl System {
         let d = [0, 1, 2].map(|axis| sum(x[axis], -c[axis]));
         let squared = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
         match self.kernel {
-            Kernel::Linear => Twice::default() - (squared + self.rounding.into()).sqrt(),
+            Kernel::Multiquadric => Twice::default() - (squared + self.shape_squared.into()).sqrt(),
             Kernel::Cubic => squared * squared.sqrt(),
         }
     }

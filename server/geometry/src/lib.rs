@@ -11,7 +11,6 @@
 
 mod basis;
 mod bezier;
-pub mod block;
 mod body;
 mod bounds;
 mod component;
@@ -23,11 +22,11 @@ mod topology;
 mod union;
 
 pub use basis::PointBasis;
-pub use block::Block;
 pub use body::{Body, Feature, FootPoint, Location, ParameterDirection, Walk};
 pub use bounds::Aabb;
 pub use component::{Component, ComponentError, ComponentOptions, Patch, PatchInput};
 pub use distance::{FootChange, SignedDistance, SignedDistanceDerivative, SignedDistancePoint};
+pub use moldline_foundation::block::{self, Block};
 pub use moldline_spline::{SurfaceJet, SurfacePoint, Vector3};
 pub use primitive::{Primitive, PrimitiveError};
 pub use topology::{Edge, EdgeSide, Incidence, Side, Vertex, VertexKind};

@@ -48,8 +48,8 @@ pub fn encode_derived(derived: &Derived) -> Vec<u8> {
         [*u, *v].iter().for_each(|value| out.number(*value));
     }
     out.count(fields.len());
-    for Factors { rounding, regularisation, top, lower } in fields {
-        out.number(*rounding);
+    for Factors { shape_squared, regularisation, top, lower } in fields {
+        out.number(*shape_squared);
         out.number(*regularisation);
         out.numbers(top);
         out.numbers(lower);
@@ -99,8 +99,8 @@ pub fn decode_derived(bytes: &[u8]) -> Option<Derived> {
         .collect::<Option<_>>()?;
     const FIELD: usize = 4 * 8;
     let fields = (0..rest.count(FIELD)?).map(|_| {
-        let (rounding, regularisation) = (rest.number()?, rest.number()?);
-        Some(Factors { rounding, regularisation, top: rest.numbers()?, lower: rest.numbers()? })
+        let (shape_squared, regularisation) = (rest.number()?, rest.number()?);
+        Some(Factors { shape_squared, regularisation, top: rest.numbers()?, lower: rest.numbers()? })
     });
     let fields = fields.collect::<Option<_>>()?;
     let ownership = OwnershipParts { offsets, attachments, cell_owner };
@@ -202,7 +202,7 @@ mod tests {
             middles: vec![location],
             fields: vec![
                 Factors {
-                    rounding: 0.5,
+                    shape_squared: 0.5,
                     regularisation: 0.25,
                     top: vec![1.0, 2.0],
                     lower: vec![3.0, -4.0, 5.0],

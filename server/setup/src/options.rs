@@ -86,8 +86,9 @@ pub enum PropagationDocument {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum KernelDocument {
-    /// -r.
-    Linear,
+    /// Multiquadric, -sqrt(r^2 + c^2) with a small c: nearly -r.
+    #[serde(rename = "linear")]
+    Multiquadric,
     /// r^3.
     Cubic,
 }
@@ -215,4 +216,4 @@ macro_rules! same_variants {
 
 same_variants!(OuterMoldLineDocument, OuterMoldLine: Sharp, Smooth);
 same_variants!(PropagationDocument, Propagation: Absolute, Departure, Surface);
-same_variants!(KernelDocument, Kernel: Linear, Cubic);
+same_variants!(KernelDocument, Kernel: Multiquadric, Cubic);

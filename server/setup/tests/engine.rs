@@ -181,7 +181,7 @@ fn other_propagations_and_kernels_end_on_the_components_too() {
     for (propagation, kernel) in [
         (Propagation::Absolute, Kernel::Cubic),
         (Propagation::Departure, Kernel::Cubic),
-        (Propagation::Departure, Kernel::Linear),
+        (Propagation::Departure, Kernel::Multiquadric),
         (Propagation::Surface, Kernel::Cubic),
     ] {
         let mut content = content("examples/e175/setup-motions.toml");
