@@ -13,8 +13,7 @@ use tonic::transport::Channel;
 
 use crate::{panel, serve, shell::Parts, telemetry};
 
-#[path = "../../service/tests/ball/mod.rs"]
-pub mod ball;
+pub use moldline_testing::ball;
 
 const POOL: PoolLimits = PoolLimits { threads: 2, running: 2, queued: 8 };
 

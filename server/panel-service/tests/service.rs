@@ -6,10 +6,7 @@ use std::sync::Arc;
 use moldline_panel::{Flow, Inputs, Options, Outputs, PanelSetup, Reference, Scalars, TrailingEdges};
 use moldline_panel_service::{AnalysisPoint, Definition, Geometry, Limits, PanelService};
 use moldline_service::{Code, ComputePool, PoolLimits, Principal, Role, Tenant};
-
-#[path = "../../panel/tests/suite/meshes.rs"]
-#[allow(dead_code, reason = "the panel crate's tests use it all")]
-mod meshes;
+use moldline_testing::{Wing, eventually, sphere};
 
 fn service(limits: Limits) -> Arc<PanelService> {
     let pool = ComputePool::new(PoolLimits { threads: 2, running: 2, queued: 8 }, usize::MAX).unwrap();
@@ -17,7 +14,7 @@ fn service(limits: Limits) -> Arc<PanelService> {
 }
 
 fn wing() -> Definition {
-    let mesh = meshes::Wing { half: true, ..meshes::Wing::rectangular(12, 8) }.mesh();
+    let mesh = Wing { half: true, ..Wing::rectangular(12, 8) }.mesh();
     Definition {
         cells: mesh.cells,
         vertices: mesh.vertices,
@@ -55,7 +52,7 @@ async fn analyses_and_products_are_those_of_the_panel_method() {
     stages.dedup();
     assert_eq!(stages, ["influence", "factorisation", "solution"]);
 
-    let mesh = meshes::Wing { half: true, ..meshes::Wing::rectangular(12, 8) }.mesh();
+    let mesh = Wing { half: true, ..Wing::rectangular(12, 8) }.mesh();
     let setup = PanelSetup::new(&mesh, wing().options).unwrap();
     let solution = Arc::new(setup.solve(&mesh.vertices, 0.3, &moldline_panel::NoMonitor).unwrap());
     assert_eq!(analysed.analyses[1], solution.analyse(&flow(0.05)).unwrap());
@@ -149,7 +146,7 @@ async fn solutions_make_room_for_newer_ones() {
 async fn who_goes_away_stops_the_work() {
     let service = service(Limits::default());
     let caller = Principal::local();
-    let mesh = meshes::sphere(20);
+    let mesh = sphere(20);
     let definition = Definition {
         cells: mesh.cells,
         vertices: mesh.vertices,
@@ -173,9 +170,7 @@ async fn who_goes_away_stops_the_work() {
     });
     has_started.await.unwrap();
     work.abort();
-    while service.load() > 0 {
-        tokio::task::yield_now().await;
-    }
+    eventually("idle service", async || (service.load() == 0).then_some(())).await;
     let status = service.status();
     assert_eq!((status.solutions.entries, status.solutions.bytes), (0, 0));
 }

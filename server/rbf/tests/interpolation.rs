@@ -1,14 +1,13 @@
 //! Interpolation, evaluation and their transposes, through the public interface.
 
 use moldline_rbf::{Block, Coefficients, Kernel, RadialBasis, RbfError, Vector3};
+use moldline_testing::Random;
 
 fn scattered(count: usize, seed: u64) -> Vec<Vector3> {
-    let mut state = seed;
-    let mut next = || {
-        state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-        (state >> 11) as f64 / (1u64 << 53) as f64
-    };
-    (0..count).map(|_| Vector3::new(30.0 * next(), 10.0 * next() - 5.0, 4.0 * next())).collect()
+    let mut random = Random::new(seed);
+    let mut point =
+        || Vector3::new(random.between(0.0, 30.0), random.between(-5.0, 5.0), random.between(0.0, 4.0));
+    (0..count).map(|_| point()).collect()
 }
 
 /// What a backward stable solution leaves: the rounding of the sums over weights that are much larger than the data,

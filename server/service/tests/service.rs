@@ -1,13 +1,10 @@
 //! The service on the real engine, without a transport.
 #![allow(clippy::unwrap_used, reason = "helpers of tests are tests")]
 
-mod ball;
-
 use std::{
     fs,
     path::{Path, PathBuf},
     sync::{Arc, Mutex},
-    time::Duration,
 };
 
 use moldline_deform::Setup;
@@ -15,6 +12,7 @@ use moldline_service::{
     At, Code, ControlPointVectors, Design, Directions, FileEntry, Limits, Page, PoolLimits, Principal, Seeds,
     Service, ServiceError, Store, Upload, UploadHeader, UploadSource, Uploaded, Values, Wanted,
 };
+use moldline_testing::{ball, eventually};
 
 fn service(threads: usize, limits: Limits) -> Service {
     Service::new(PoolLimits { threads, running: threads, queued: 16 }, limits).unwrap()
@@ -112,14 +110,10 @@ async fn giving_up_on_a_build_leaves_nothing_behind() {
                 .map(drop)
         }
     });
-    while *told.lock().unwrap() == 0 {
-        tokio::task::yield_now().await;
-    }
+    eventually("progress of the build", async || (*told.lock().unwrap() > 0).then_some(())).await;
     build.abort();
     let _ = build.await;
-    while service.load() > 0 {
-        tokio::time::sleep(Duration::from_millis(1)).await;
-    }
+    eventually("idle service", async || (service.load() == 0).then_some(())).await;
     assert!(create(&service, "ball").await.is_ok());
 }
 

@@ -1,6 +1,7 @@
 //! Every route, with a plain client over loopback.
 
 use moldline_service::Limits;
+use moldline_testing::eventually;
 use moldline_transport::Access;
 use serde_json::{Value, json};
 
@@ -210,13 +211,14 @@ async fn an_operation_can_be_polled() {
     let accepted = upload(&server, &[("prefer", "respond-async")]).await;
     assert_eq!(accepted.status, 202);
     let location = accepted.headers["location"].clone();
-    let done = loop {
-        let operation = server.ask("GET", &location, &[], b"").await.json();
-        if operation["done"] == true {
-            break operation;
-        }
-        tokio::time::sleep(std::time::Duration::from_millis(10)).await;
+    let finished = async |location: &str| {
+        eventually("end of the operation", async || {
+            let operation = server.ask("GET", location, &[], b"").await.json();
+            (operation["done"] == true).then_some(operation)
+        })
+        .await
     };
+    let done = finished(&location).await;
     let setup = done["created"]["setup_id"].as_str().unwrap();
     assert_eq!(server.ask("GET", &format!("/v1/setups/{setup}"), &[], b"").await.status, 200);
     assert_eq!(server.ask("DELETE", &location, &[], b"").await.status, 204);
@@ -225,12 +227,7 @@ async fn an_operation_can_be_polled() {
     let headers = [("content-type", "application/json"), ("prefer", "respond-async")];
     let refused = server.ask("POST", "/v1/setups", &headers, b"{\"format\": 99}").await;
     assert_eq!(refused.status, 202);
-    let operation = loop {
-        let operation = server.ask("GET", &refused.headers["location"], &[], b"").await.json();
-        if operation["done"] == true {
-            break operation;
-        }
-    };
+    let operation = finished(&refused.headers["location"]).await;
     assert_eq!(operation["problem"]["code"], "INVALID_ARGUMENT");
 }
 

@@ -510,6 +510,7 @@ pub(crate) fn moments(sources: &Points, leading: &Part, remainder: Option<&Part>
 mod tests {
     use super::*;
     use crate::error_free::two_product;
+    use moldline_testing::Random;
 
     struct Cubes {
         target: Vector3,
@@ -551,15 +552,12 @@ mod tests {
     /// The square of a kernel value is `r^6`, which takes no root.
     #[test]
     fn kernel_values_have_more_digits_than_a_double() {
-        let mut state = 5_u64;
-        let mut next = |bits: i32| {
-            state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-            // Multiples of 2^-40 up to 2^bits: their differences are exact.
-            ((state >> 23) as f64 * 2_f64.powi(-40) - 1.0) * 2_f64.powi(bits)
-        };
+        let mut random = Random::new(5);
+        // Multiples of 2^-40, whose differences are exact.
+        let on_grid = |x: f64| (x * 2_f64.powi(40)).round() * 2_f64.powi(-40);
+        let mut next = |bits: i32| on_grid(random.signed()) * 2_f64.powi(bits);
         let (coordinates, splitter) = (Splitter::new(2.0, COORDINATE_BITS), Splitter::new(64.0, 20));
         for i in 0..4000 {
-            let on_grid = |x: f64| (x * 2_f64.powi(40)).round() * 2_f64.powi(-40);
             let target = Vector3::new(next(0), next(0), next(0));
             // Far, near, within what high parts see, and the same.
             let reach = [0, -8, -24, -60][i % 4];
