@@ -1,7 +1,7 @@
-//! The set-up format, version 1. Every struct refuses fields that it does not know.
+//! The set-up format, version 1. Every struct rejects unknown fields.
 //!
 //! Axes: x aft, y starboard, z up. Lengths in `parameterisation` and `options` are metres; geometry and mesh have a
-//! `unit` of their own. Design variables declare theirs.
+//! `unit` of their own, and so do design variables.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -29,7 +29,7 @@ pub struct SetupDocument {
     /// Scalar outputs besides those that every set-up has.
     #[serde(default)]
     pub outputs: Vec<OutputDocument>,
-    /// Choices of the engine; each has a default.
+    /// Options of the engine; each has a default.
     #[serde(default)]
     pub options: OptionsDocument,
 }
@@ -136,7 +136,7 @@ pub struct ComponentDocument {
 #[serde(deny_unknown_fields)]
 #[schemars(title = "Moldline geometry")]
 pub struct GeometryDocument {
-    /// For people; the set-up's name of the component counts.
+    /// A label for people; the set-up file names the component.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
     /// The patches.
@@ -148,7 +148,7 @@ pub struct GeometryDocument {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PatchDocument {
-    /// For messages.
+    /// Name for messages.
     #[serde(default)]
     pub name: String,
     /// Degree along u, 1 to 9.
@@ -211,7 +211,7 @@ pub struct ParameterisationDocument {
     /// The design vector: these variables one after the other.
     #[serde(default)]
     pub variables: Vec<VariableDocument>,
-    /// Each acts on the result of those before it.
+    /// The operations; each acts on the result of those before it.
     #[serde(default)]
     pub operations: Vec<OperationDocument>,
 }
@@ -224,7 +224,7 @@ pub struct VariableDocument {
     pub name: String,
     /// Unit of baseline, bounds and values.
     pub unit: UnitDocument,
-    /// Nothing for a scalar, `[n]`, or `[rows, stations]`.
+    /// Absent for a scalar, `[n]`, or `[rows, stations]`.
     #[serde(default)]
     pub shape: Vec<usize>,
     /// The value that leaves the geometry as it is. Default: 0 for angles, lengths and fractions of chord; 1 for
@@ -280,14 +280,14 @@ pub enum AxisDocument {
     Z,
 }
 
-/// What a design variable does to components.
+/// The operation of design variables on components.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "type", rename_all = "snake_case", deny_unknown_fields)]
 pub enum OperationDocument {
     /// Free-form deformation: a B-spline volume whose lattice stands in sections across the span, each with the local
     /// chord and the local quarter chord of the components.
     FreeForm {
-        /// Components embedded.
+        /// Embedded components.
         components: Vec<String>,
         /// Axis across which the sections stand.
         #[serde(default = "axis_y")]
@@ -305,7 +305,7 @@ pub enum OperationDocument {
     /// Planform area and aspect ratio (span^2/area): span times sqrt(S A/(S0 A0)), chord and thickness times
     /// sqrt(S A0/(S0 A)), about a point of the root.
     Planform {
-        /// Components scaled; the planform is the first one's.
+        /// Components to scale; the planform is that of the first.
         components: Vec<String>,
         /// The span axis.
         #[serde(default = "axis_y")]
@@ -323,13 +323,13 @@ pub enum OperationDocument {
         /// Scalar variable, a ratio.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         aspect_ratio: Option<String>,
-        /// What happens to sweep and dihedral.
+        /// The effect on sweep and dihedral.
         #[serde(default)]
         sweep: SweepDocument,
     },
     /// Rotation, right-handed about the axis: about +y positive is nose up.
     Rotation {
-        /// Components that turn.
+        /// Components to rotate.
         components: Vec<String>,
         /// Direction of the axis.
         #[serde(default = "direction_y")]
@@ -343,7 +343,7 @@ pub enum OperationDocument {
     },
     /// Translation.
     Translation {
-        /// Components that move.
+        /// Components to translate.
         components: Vec<String>,
         /// Its direction.
         #[serde(default = "direction_x")]
@@ -353,7 +353,7 @@ pub enum OperationDocument {
     },
     /// Scale of a body about its centre line, fading to none at nose and tail.
     RadialScale {
-        /// Components scaled.
+        /// Components to scale.
         components: Vec<String>,
         /// The body's axis.
         #[serde(default = "axis_x")]
@@ -432,7 +432,7 @@ pub enum SectionDocument {
     },
 }
 
-/// What a change of planform does to sweep and dihedral.
+/// The effect of a change of planform on sweep and dihedral.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SweepDocument {

@@ -57,7 +57,7 @@ fn against_differences(linearisation: &Linearisation, direction: &[f64], range: 
         (deformation.vertices, deformation.functions)
     };
     let size = dot(&tangent.vertices, &tangent.vertices).sqrt();
-    // A soft bracket changes over shorter ways, and is free of the noise of convergence.
+    // A soft bracket changes over shorter distances, and is free of convergence noise.
     let steps = if setup.options().seam.polish { [1e-3, 1e-4] } else { [1e-5, 1e-6] };
     steps
         .map(|step| {
@@ -103,13 +103,13 @@ fn dot_product_gap(linearisation: &Linearisation, k: usize, random: &mut Random)
 /// A name, and a change of the options.
 type Variant = (&'static str, fn(&mut Options));
 
-/// All that changes the chain of operations.
+/// All options that change the chain of operations.
 fn variants() -> Vec<Variant> {
     vec![
         ("sharp", |_| {}),
         ("smooth", |o| o.outer_mold_line = OuterMoldLine::Smooth),
         ("smoothing", |o| {
-            // Gentle, or vertices of a leading edge are drawn to where the sheets are equally near.
+            // Gentle, or vertices of a leading edge are drawn to points equally near to both sheets.
             o.smoothing.rounds = 2;
             o.smoothing.relaxation = 0.1;
             o.outer_mold_line = OuterMoldLine::Smooth;
@@ -120,7 +120,7 @@ fn variants() -> Vec<Variant> {
             o.outer_mold_line = OuterMoldLine::Smooth;
         }),
         ("soft bracket", |o| {
-            // So soft that it is smooth over the steps of the differences.
+            // Soft enough to be smooth over the steps of the differences.
             o.seam.polish = false;
             o.seam.soft_steps = 16;
             o.seam.eta = 1e6;
@@ -243,7 +243,7 @@ fn control_points_are_inputs_too() {
         assert!((0..3).all(|k| (x[k] - y[k]).abs() <= 1e-12));
     }
 
-    // The gradient by control points, contracted, is the gradient by design.
+    // The gradient with respect to control points, contracted, is the gradient with respect to the design.
     let seed = seed(&setup, &mut random);
     let gradient = by_points.vjp(std::slice::from_ref(&seed)).unwrap().remove(0);
     assert!(gradient.design.is_empty());

@@ -1,4 +1,4 @@
-//! Objects by name: create if absent, read, list, delete.
+//! Object storage by name: create if absent, read, list, delete.
 
 use std::{
     path::{Path as FilePath, PathBuf},
@@ -17,19 +17,19 @@ use crate::error::StoreError;
 /// An object in a list.
 #[derive(Clone, Debug)]
 pub struct Listed {
-    /// Its name below the prefix of the store.
+    /// Name, relative to the prefix of the store.
     pub name: String,
-    /// Bytes.
+    /// Size, bytes.
     pub size: u64,
-    /// When it was written.
+    /// Time of the last write.
     pub modified: SystemTime,
 }
 
-/// A place for objects.
+/// An object storage.
 #[derive(Clone, Debug)]
 pub struct Backend {
     objects: Arc<dyn ObjectStore>,
-    /// Before all names.
+    /// Prefix of all names.
     prefix: Path,
     /// The folder, if it is one.
     folder: Option<Arc<PathBuf>>,
@@ -47,7 +47,7 @@ impl Backend {
         Self::folder(FilePath::new(location)).map_err(|error| refused(location, error.to_string()))
     }
 
-    /// The same; a folder is made if there is none.
+    /// As [`open`](Self::open), but creates a missing folder.
     pub fn make(location: &str) -> Result<Self, StoreError> {
         if location != "memory" && !location.contains("://") {
             std::fs::create_dir_all(location).map_err(|error| refused(location, error.to_string()))?;
@@ -55,7 +55,7 @@ impl Backend {
         Self::open(location)
     }
 
-    /// One that ends with the process.
+    /// A storage in memory, which ends with the process.
     pub fn in_memory() -> Self {
         Self { objects: Arc::new(InMemory::new()), prefix: Path::default(), folder: None }
     }
@@ -63,7 +63,7 @@ impl Backend {
     fn folder(path: &FilePath) -> Result<Self, Box<dyn std::error::Error>> {
         let path = path.canonicalize()?;
         let objects = LocalFileSystem::new_with_prefix(&path)?;
-        // Acknowledged means on the disk: file and folder are synced before a write returns.
+        // A write is acknowledged once it is on the disk: file and folder are synced before it returns.
         let objects = Arc::new(objects.with_fsync(true));
         Ok(Self { objects, prefix: Path::default(), folder: Some(Arc::new(path)) })
     }
@@ -75,11 +75,11 @@ impl Backend {
             return Err(refused(location, "only s3:// is known among URLs"));
         }
         let prefix = Path::from_url_path(url.path()).map_err(|error| refused(location, error.to_string()))?;
-        // The provider of cryptography that everything here uses. That it is chosen already is fine.
+        // The provider of cryptography for the whole process. It is no error if one is installed already.
         let _ = tokio_rustls::rustls::crypto::ring::default_provider().install_default();
         // Endpoint, region and credentials come from the environment: AWS_ENDPOINT, AWS_REGION, AWS_ACCESS_KEY_ID, ...
         let builder = object_store::aws::AmazonS3Builder::from_env().with_url(location);
-        // Callers wait for it: they hear soon that it does not answer, and decide themselves whether to try again.
+        // Callers wait for the store: a failure is reported soon, and they decide whether to retry.
         let retry = object_store::RetryConfig {
             max_retries: 5,
             retry_timeout: std::time::Duration::from_secs(15),
@@ -105,13 +105,13 @@ impl Backend {
         self.prefix.parts().chain(Path::from(name).parts()).collect()
     }
 
-    /// Creates an object, durably; `false` if there is one of that name.
+    /// Creates an object, durably; `false` if the name is taken.
     pub async fn create(&self, name: &str, data: Bytes) -> Result<bool, StoreError> {
         let path = self.path(name);
         match self.objects.put_opts(&path, PutPayload::from_bytes(data), PutMode::Create.into()).await {
             Ok(_) => Ok(true),
             Err(object_store::Error::AlreadyExists { .. } | object_store::Error::Precondition { .. }) => {
-                // The one who created it may not have come to sync the folder yet, and the caller is about to rely on it.
+                // The process that created it may not have synced the folder yet, and the caller relies on the object.
                 self.sync_folder_of(name).await?;
                 Ok(false)
             }
@@ -119,7 +119,7 @@ impl Backend {
         }
     }
 
-    /// Writes an object again that has a hash for a name: with the same content, and a new date.
+    /// Rewrites an object that is named by its hash: with the same content, and a new date.
     pub async fn renew(&self, name: &str, data: Bytes) -> Result<(), StoreError> {
         let written = self.objects.put(&self.path(name), PutPayload::from_bytes(data)).await;
         written.map(drop).map_err(|error| StoreError::of(name, &error))
@@ -140,7 +140,7 @@ impl Backend {
             .map_err(|error| unavailable(error.to_string()))
     }
 
-    /// The content and age of an object, if there is one.
+    /// The content and date of an object, if it exists.
     pub async fn read(&self, name: &str) -> Result<Option<(Bytes, SystemTime)>, StoreError> {
         let found = match self.objects.get(&self.path(name)).await {
             Ok(found) => found,
@@ -187,7 +187,7 @@ impl Backend {
         Ok(names)
     }
 
-    /// Removes an object, if there is one.
+    /// Removes an object, if it exists.
     pub async fn delete(&self, name: &str) -> Result<(), StoreError> {
         match self.objects.delete(&self.path(name)).await {
             Ok(()) | Err(object_store::Error::NotFound { .. }) => Ok(()),
@@ -196,7 +196,7 @@ impl Backend {
     }
 }
 
-/// It cannot be opened.
+/// The error of a store that cannot be opened.
 pub(crate) fn refused(location: &str, reason: impl Into<String>) -> StoreError {
     StoreError::Location { location: location.to_owned(), reason: reason.into() }
 }

@@ -1,11 +1,11 @@
-//! Why the store does not do what it is asked to.
+//! Errors of the store.
 
 use std::{error::Error, io};
 
-/// Why the store does not do what it is asked to. What it holds is intact, except where `Corrupt` says so.
+/// An error of the store. Stored objects are intact, except with `Corrupt`.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum StoreError {
-    /// No space.
+    /// No space is left.
     #[error("the store has no space left for {object}: {reason}")]
     Full {
         /// What was to be written.
@@ -13,7 +13,7 @@ pub enum StoreError {
         /// In the words of the system.
         reason: String,
     },
-    /// No right to write.
+    /// No permission to write.
     #[error("the store cannot be written to, {object} is not stored: {reason}")]
     ReadOnly {
         /// What was to be written.
@@ -21,28 +21,28 @@ pub enum StoreError {
         /// In the words of the system.
         reason: String,
     },
-    /// Bytes that are not those that were written.
+    /// Bytes that differ from those that were written.
     #[error("{object} in the store is damaged: {reason}")]
     Corrupt {
-        /// Which.
+        /// Name of the object.
         object: String,
-        /// How that is known.
+        /// The evidence.
         reason: String,
     },
-    /// Anything else: a network that does not answer, say.
+    /// Anything else, such as a network that does not answer.
     #[error("the store does not answer for {object}: {reason}")]
     Unavailable {
-        /// What was asked for.
+        /// Name of the requested object.
         object: String,
         /// In the words of the system.
         reason: String,
     },
-    /// It cannot be opened.
+    /// The store cannot be opened.
     #[error("cannot open the store {location}: {reason}")]
     Location {
-        /// As given.
+        /// Location, as given.
         location: String,
-        /// Why.
+        /// The reason.
         reason: String,
     },
 }
@@ -52,7 +52,7 @@ impl StoreError {
         Self::Corrupt { object: object.into(), reason: reason.into() }
     }
 
-    /// By the class of the system's error below.
+    /// Classifies an error by the system's error below it.
     pub(crate) fn of(object: &str, error: &object_store::Error) -> Self {
         let innermost = chain(error).last().map(ToString::to_string).unwrap_or_default();
         let (object, reason) = (object.to_owned(), innermost);
@@ -68,11 +68,10 @@ impl StoreError {
     }
 }
 
-/// What goes into a list, or counts for many: nothing in place of what is damaged, which is said to those who ask for it by
-/// name.
+/// The value for a list or a total: nothing in place of a damaged object, which is reported only when it is read by name.
 ///
 /// # Errors
-/// All others.
+/// All but `Corrupt`.
 pub fn unless_damaged<T>(found: Result<Option<T>, StoreError>) -> Result<Option<T>, StoreError> {
     match found {
         Err(error @ StoreError::Corrupt { .. }) => {
@@ -83,7 +82,7 @@ pub fn unless_damaged<T>(found: Result<Option<T>, StoreError>) -> Result<Option<
     }
 }
 
-/// An error and what is below it, outermost first.
+/// An error and its sources, outermost first.
 fn chain<'e>(error: &'e (dyn Error + 'static)) -> impl Iterator<Item = &'e (dyn Error + 'static)> {
     std::iter::successors(Some(error), |&error| error.source())
 }

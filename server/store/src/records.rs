@@ -1,4 +1,4 @@
-//! What is written, and how a reader knows that it is what was written.
+//! Records, and the hashes by which a reader verifies them.
 
 use std::time::SystemTime;
 
@@ -7,10 +7,10 @@ use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use crate::error::StoreError;
 
-/// The files of a set-up: that which describes it first, then what it refers to by path.
+/// The files of a set-up: the set-up file first, then the files that it refers to by path.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Manifest {
-    /// In the order of their paths, but for the first.
+    /// In the order of their paths, except the first.
     pub files: Vec<ManifestEntry>,
 }
 
@@ -21,12 +21,12 @@ pub struct ManifestEntry {
     pub path: String,
     /// blake3 of its content, in hexadecimal digits.
     pub hash: String,
-    /// Bytes.
+    /// Size, bytes.
     pub size: u64,
 }
 
 impl Manifest {
-    /// Of paths and contents, the file that describes the set-up first.
+    /// The manifest of paths and contents, the set-up file first.
     pub fn of<'f>(files: impl IntoIterator<Item = (&'f str, &'f [u8])>) -> Self {
         let entry = |(path, content): (&str, &[u8])| ManifestEntry {
             path: path.to_owned(),
@@ -40,10 +40,9 @@ impl Manifest {
         Self { files }
     }
 
-    /// The name of what a set-up consists of, in hexadecimal digits. Whether it came in an archive and what else was
-    /// uploaded do not matter.
+    /// The set-up's name, a hash of its files in hexadecimal digits. It depends neither on archives nor on other uploaded files.
     pub fn id(&self) -> String {
-        // Grows with every change of meaning of the format.
+        // The number increases with every change of the format's meaning.
         let mut hasher = blake3::Hasher::new_derive_key("moldline set-up, format 1");
         for ManifestEntry { path, hash, .. } in &self.files {
             hasher.update(&(path.len() as u64).to_le_bytes());
@@ -53,7 +52,7 @@ impl Manifest {
         hasher.finalize().to_hex().to_string()
     }
 
-    /// Of all files.
+    /// Size of all files, bytes.
     pub fn bytes(&self) -> u64 {
         self.files.iter().map(|file| file.size).sum()
     }
@@ -67,28 +66,28 @@ pub enum Shared {
     Private,
     /// These tenants.
     Tenants(Vec<String>),
-    /// All.
+    /// All tenants.
     Public,
 }
 
-/// That a tenant has uploaded a set-up.
+/// A tenant's upload of a set-up.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AccessRecord {
-    /// `false` once it has been given up.
+    /// `false` once the tenant has deleted it.
     pub owned: bool,
     /// Who else may use it.
     pub shared: Shared,
     /// The user's title.
     pub name: String,
-    /// Of its mesh.
+    /// Number of vertices of its mesh.
     pub vertices: u64,
-    /// Of its mesh.
+    /// Number of cells of its mesh.
     pub cells: u64,
-    /// Design variables.
+    /// Number of design variables.
     pub variables: u64,
-    /// Of its files.
+    /// Size of its files, bytes.
     pub bytes: u64,
-    /// When the tenant uploaded it first.
+    /// Time of the tenant's first upload.
     pub created: SystemTime,
 }
 
@@ -99,19 +98,19 @@ pub struct SessionRecord {
     pub setup: String,
     /// Values of all variables.
     pub design: Numbers,
-    /// Control points that were given: component and coordinates.
+    /// Control points given directly: component and coordinates.
     pub control_points: Vec<(String, Numbers)>,
-    /// For people.
+    /// A label for people.
     pub label: String,
-    /// When it was opened.
+    /// Time of opening.
     pub created: SystemTime,
-    /// When this generation was written.
+    /// Time of writing of this generation.
     pub updated: SystemTime,
     /// The request that wrote it; may be empty.
     pub request: String,
 }
 
-/// Numbers that keep every bit: 16 hexadecimal digits each.
+/// Numbers without loss of bits: 16 hexadecimal digits each.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct Numbers(pub Vec<f64>);
@@ -138,7 +137,7 @@ impl TryFrom<String> for Numbers {
     }
 }
 
-/// A record with the hash of what follows in its first line.
+/// Serialises a record, with the hash of the rest in its first line.
 pub(crate) fn seal(record: &impl Serialize) -> Result<Bytes, StoreError> {
     let body = serde_json::to_vec(record).map_err(|error| StoreError::Unavailable {
         object: "a record".to_owned(),
@@ -163,7 +162,7 @@ pub(crate) fn unseal<T: DeserializeOwned>(object: &str, sealed: &[u8]) -> Result
     serde_json::from_slice(body).map_err(|error| corrupt(error.to_string()))
 }
 
-/// Bytes with their hash behind them.
+/// Appends their hash to bytes.
 pub(crate) fn seal_bytes(mut data: Vec<u8>) -> Bytes {
     let hash = blake3::hash(&data);
     data.extend_from_slice(hash.as_bytes());
@@ -226,7 +225,7 @@ mod tests {
         assert_ne!(id(&[("setup.toml", "s"), ("mesh.msh", "m")]), reference);
         assert_ne!(id(&[("mesh.msh", "m"), ("setup.toml", "s"), ("wing.json", "w")]), reference);
         assert_ne!(id(&[("setup.toml", "s"), ("mesh.msh", "M"), ("wing.json", "w")]), reference);
-        // Bytes cannot wander from one file to the next.
+        // Bytes cannot move from one file to the next.
         assert_ne!(id(&[("a", "xy"), ("b", "")]), id(&[("a", "x"), ("b", "y")]));
     }
 }

@@ -1,4 +1,4 @@
-//! Set-ups, who owns them, sessions, and request ids.
+//! The store of set-ups and their owners, sessions, and request ids.
 
 use std::{
     collections::BTreeSet,
@@ -15,36 +15,36 @@ use crate::{
     records::{AccessRecord, Manifest, SessionRecord, Shared, seal, seal_bytes, unseal, unseal_bytes},
 };
 
-/// What is not touched for this long is written again where it is used, so that a collector finds it young.
+/// An object older than this is rewritten when it is used, so that garbage collection does not remove it.
 const RENEW: Duration = Duration::from_secs(3600);
-/// Reads at a time.
+/// Concurrent reads.
 const AT_ONCE: usize = 32;
-/// In place of a tenant: all of them. No tenant has such a name.
+/// In place of a tenant: all tenants. No tenant can have this name.
 const EVERYBODY: &str = "@public";
-/// Of the layout described at the head of the crate.
+/// Version of the layout that the crate's documentation describes.
 const FORMAT: &str = "moldline store 1";
 
-/// The last of a row of records.
+/// The last generation of a record.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Generation<T> {
-    /// Counts from one.
+    /// Number of the generation, from one.
     pub number: u64,
     /// The record.
     pub record: T,
 }
 
-/// What became of a request id.
+/// The state of a request id.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Claim {
-    /// It is new.
+    /// The id is new.
     New,
-    /// It has named the same request before.
+    /// The id has named the same request before.
     Repeated,
-    /// It has named another request.
+    /// The id has named another request.
     Taken,
 }
 
-/// The store, shared by all who use it; so are the objects behind it, between processes and machines.
+/// The store. Clones, processes and machines share its objects.
 #[derive(Clone, Debug)]
 pub struct Store {
     pub(crate) backend: Backend,
@@ -58,7 +58,7 @@ impl Store {
     pub async fn open(location: &str) -> Result<Self, StoreError> {
         let backend = Backend::make(location)?;
         if !is_made(&backend, location).await? {
-            // One that cannot be written to yet is still good to read from, and errors say so when it comes to writing.
+            // A store that cannot be written to can still be read; writes report the error.
             match backend.create("format", Bytes::from_static(FORMAT.as_bytes())).await {
                 Ok(_) | Err(StoreError::Full { .. } | StoreError::ReadOnly { .. }) => {}
                 Err(error) => return Err(refused(location, error.to_string())),
@@ -67,10 +67,10 @@ impl Store {
         Ok(Self { backend })
     }
 
-    /// Opens a store that is there, and makes none.
+    /// Opens an existing store.
     ///
     /// # Errors
-    /// If there is none, it cannot be reached, or holds something else.
+    /// If there is no store, it cannot be reached, or the location holds something else.
     pub async fn open_existing(location: &str) -> Result<Self, StoreError> {
         let backend = Backend::open(location)?;
         match is_made(&backend, location).await? {
@@ -79,12 +79,12 @@ impl Store {
         }
     }
 
-    /// One that ends with the process.
+    /// A store in memory, which ends with the process.
     pub fn in_memory() -> Self {
         Self { backend: Backend::in_memory() }
     }
 
-    /// Stores the files of a set-up, the one that describes it first, and returns its name.
+    /// Stores the files of a set-up, the set-up file first, and returns its name.
     ///
     /// # Errors
     /// If they cannot be written.
@@ -99,7 +99,7 @@ impl Store {
         Ok(id)
     }
 
-    /// Writes an object whose name says its content, where there is none, a damaged one, or one that is nearly forgotten.
+    /// Writes an object named by its content, unless an intact and recent one exists.
     async fn put_named(&self, name: &str, data: Bytes) -> Result<(), StoreError> {
         if let Some((found, modified)) = self.backend.read(name).await? {
             if found != data {
@@ -112,10 +112,10 @@ impl Store {
         self.backend.create(name, data).await.map(drop)
     }
 
-    /// The files of a set-up, the one that describes it first.
+    /// The files of a set-up, the set-up file first.
     ///
     /// # Errors
-    /// `Corrupt` naming the object whose content is not what its name says.
+    /// `Corrupt`, with the object whose content does not match its name.
     pub async fn setup(&self, id: &str) -> Result<Option<Vec<(String, Bytes)>>, StoreError> {
         let Some(manifest) = self.manifest(id).await? else { return Ok(None) };
         let files = stream::iter(manifest.files).map(|file| async move {
@@ -139,7 +139,7 @@ impl Store {
         }
     }
 
-    /// Stores what a build of the engine found for a set-up.
+    /// Stores the derived data of a set-up by a build of the engine.
     ///
     /// # Errors
     /// If it cannot be written.
@@ -148,12 +148,12 @@ impl Store {
         let sealed = seal_bytes(data);
         match self.backend.create(&name, sealed.clone()).await? {
             true => Ok(()),
-            // Whoever writes it has found nothing there that serves.
+            // The caller has found no usable data there.
             false => self.backend.renew(&name, sealed).await,
         }
     }
 
-    /// What that build of the engine found for a set-up, if it is there.
+    /// The derived data of a set-up by that build of the engine, if stored.
     ///
     /// # Errors
     /// `Corrupt` if it is damaged.
@@ -163,7 +163,7 @@ impl Store {
         unseal_bytes(&name, sealed).map(Some)
     }
 
-    /// What a set-up is to a tenant that uploaded it.
+    /// The access record of a set-up that the tenant uploaded.
     ///
     /// # Errors
     /// If the store does not answer or the record is damaged.
@@ -175,7 +175,7 @@ impl Store {
         self.latest(&format!("access/{tenant}/{setup}")).await
     }
 
-    /// The same, with the reason in place of a record that is damaged: so that it can be written anew.
+    /// As [`access`](Self::access), with the reason in place of a damaged record, so that it can be rewritten.
     ///
     /// # Errors
     /// If the store does not answer.
@@ -187,7 +187,7 @@ impl Store {
         self.latest_or_damage(&format!("access/{tenant}/{setup}")).await
     }
 
-    /// Writes the next generation of what a set-up is to a tenant; `false` if another did at the same time.
+    /// Writes the next generation of an access record; `false` if another caller wrote it first.
     ///
     /// # Errors
     /// If it cannot be written.
@@ -198,7 +198,7 @@ impl Store {
         number: u64,
         record: &AccessRecord,
     ) -> Result<bool, StoreError> {
-        // First where others look, since the record decides.
+        // The pointers come first, since the record decides.
         let grantees: Vec<&str> = match &record.shared {
             _ if !record.owned => Vec::new(),
             Shared::Private => Vec::new(),
@@ -212,14 +212,14 @@ impl Store {
         self.append(&format!("access/{tenant}/{setup}"), number, record).await
     }
 
-    /// What a set-up is to a tenant by another's will, if anything.
+    /// The access record by which another tenant shares a set-up with this one, if any.
     ///
     /// # Errors
     /// If the store does not answer.
     pub async fn granted(&self, tenant: &str, setup: &str) -> Result<Option<AccessRecord>, StoreError> {
         for grantee in [tenant, EVERYBODY] {
             for owner in self.backend.children(&format!("grant/{grantee}/{setup}")).await? {
-                // What a damaged record allows nobody knows: nothing.
+                // A damaged record allows nothing.
                 let found = unless_damaged(self.access(&owner, setup).await)?;
                 let record = found.map(|generation| generation.record);
                 if let Some(record) = record.filter(|record| record.owned)
@@ -236,7 +236,7 @@ impl Store {
         Ok(None)
     }
 
-    /// Names of all set-ups that may be something to a tenant, in order.
+    /// Names of all set-ups that a tenant may own or share, in order.
     ///
     /// # Errors
     /// If the store does not answer.
@@ -248,7 +248,7 @@ impl Store {
         Ok(names.into_iter().collect())
     }
 
-    /// All set-ups that a tenant owns, but for those whose record is damaged.
+    /// All set-ups that a tenant owns, except those with a damaged record.
     ///
     /// # Errors
     /// If the store does not answer.
@@ -262,7 +262,7 @@ impl Store {
         Ok(records.into_iter().flatten().collect())
     }
 
-    /// Tenants that own set-ups or sessions, or did.
+    /// Tenants that own or have owned set-ups or sessions.
     ///
     /// # Errors
     /// If the store does not answer.
@@ -296,7 +296,7 @@ impl Store {
         self.latest(&format!("session/{tenant}/{id}")).await
     }
 
-    /// One generation of a session, if it is (still) there.
+    /// One generation of a session, if it (still) exists.
     ///
     /// # Errors
     /// If the store does not answer or the record is damaged.
@@ -309,7 +309,7 @@ impl Store {
         self.record(&numbered(&format!("session/{tenant}/{id}"), number)).await
     }
 
-    /// Writes a generation of a session; `false` if there is one of that number.
+    /// Writes a generation of a session; `false` if that number is taken.
     ///
     /// # Errors
     /// If it cannot be written.
@@ -399,7 +399,7 @@ impl Store {
     }
 }
 
-/// Whether a store has been made there.
+/// Whether the location holds a store.
 async fn is_made(backend: &Backend, location: &str) -> Result<bool, StoreError> {
     match backend.read("format").await {
         Ok(Some((found, _))) if found == FORMAT.as_bytes() => Ok(true),
@@ -409,10 +409,10 @@ async fn is_made(backend: &Backend, location: &str) -> Result<bool, StoreError> 
     }
 }
 
-/// In place of a generation's number: no more of them count.
+/// In place of a generation's number: the row has ended.
 pub(crate) const CLOSED: &str = "closed";
 
-/// Names sort as the numbers do.
+/// A name that sorts as the number does.
 fn numbered(row: &str, number: u64) -> String {
     format!("{row}/{number:020}")
 }
@@ -424,7 +424,7 @@ pub(crate) fn check_hash(name: &str, hash: &str, content: &[u8]) -> Result<(), S
     Err(StoreError::corrupt(name, format!("the hash of its {} bytes is not its name", content.len())))
 }
 
-/// Whether something was last written at least so long ago.
+/// Whether the last write is at least so long ago.
 pub(crate) fn older(modified: SystemTime, grace: Duration) -> bool {
     modified.elapsed().unwrap_or_default() >= grace
 }

@@ -48,7 +48,7 @@ async fn folder() -> (tempfile::TempDir, Store) {
     (folder, store)
 }
 
-/// An empty place in the object store that tests may use, if there is one.
+/// An empty prefix in the object store for tests, if there is one.
 fn remote() -> Option<String> {
     match std::env::var("MOLDLINE_TEST_S3") {
         Ok(place) => Some(format!("{place}/{}", uuid::Uuid::new_v4())),
@@ -59,7 +59,7 @@ fn remote() -> Option<String> {
     }
 }
 
-/// A set-up with all that can be stored of it.
+/// A set-up with every kind of record.
 async fn filled(store: &Store) -> String {
     let id = store.put_setup(&files("content")).await.unwrap();
     store.put_derived(&id, "build", vec![7; 1000]).await.unwrap();
@@ -157,7 +157,7 @@ async fn flipped_bits_and_cut_files_are_found_and_named() {
     for path in objects(folder.path()) {
         let name = path.strip_prefix(folder.path()).unwrap().to_str().unwrap().to_owned();
         let kind = name.split('/').next().unwrap().to_owned();
-        // The former says what the folder is, the latter nothing at all.
+        // The former identifies the store, and the content of the latter does not matter.
         if kind == "format" || kind == "grant" {
             continue;
         }
@@ -188,7 +188,7 @@ async fn flipped_bits_and_cut_files_are_found_and_named() {
     }
     assert_eq!(kinds.len(), 6);
     assert_eq!(store.verify().await.unwrap().faults, []);
-    // The same content again mends a set-up.
+    // Storing the same content again repairs a set-up.
     for path in objects(&folder.path().join("blob")) {
         fs::write(path, b"damaged").unwrap();
     }
@@ -210,7 +210,7 @@ async fn a_collection_removes_what_nobody_can_reach_and_old_enough() {
     }
 }
 
-/// `blobs`: that nobody can reach.
+/// `blobs`: number of unreachable ones.
 async fn collects(store: &Store, blobs: usize) {
     let id = filled(store).await;
     let other = store.put_setup(&files("of nobody")).await.unwrap();
@@ -245,7 +245,7 @@ fn child(test: &str, place: &Path, shell: &str) -> Command {
     command
 }
 
-/// Not a test of its own: the process that is killed. Says what has been acknowledged.
+/// Not a test by itself: the process that is killed. Prints what has been acknowledged.
 #[tokio::test]
 async fn a_process_that_writes() {
     let Ok(place) = std::env::var(PLACE) else { return };
@@ -276,7 +276,7 @@ async fn what_was_acknowledged_survives_kill_9_and_what_was_half_written_is_neve
         children.iter_mut().for_each(|child| child.kill().unwrap());
         for mut child in children {
             child.wait().unwrap();
-            // A line that was cut was not acknowledged.
+            // A truncated line was not acknowledged.
             let mut output = Vec::new();
             let mut reader = BufReader::new(child.stdout.take().unwrap());
             while reader.read_until(b'\n', &mut output).unwrap() > 0 {}
@@ -308,7 +308,7 @@ async fn what_was_acknowledged_survives_kill_9_and_what_was_half_written_is_neve
     assert_eq!(store.verify().await.unwrap().faults, []);
 }
 
-/// Not a test of its own: a process that may write small files only, as on a full disk.
+/// Not a test by itself: a process that may write small files only, as on a full disk.
 #[tokio::test]
 async fn a_process_without_space() {
     let Ok(place) = std::env::var(PLACE) else { return };
