@@ -33,7 +33,6 @@
 
 mod basis;
 mod bezier;
-pub mod block;
 mod body;
 mod bounds;
 mod closest_point;
@@ -54,7 +53,6 @@ mod union;
 mod walk;
 
 pub use basis::PointBasis;
-pub use block::Block;
 pub use body::Body;
 pub use bounds::Aabb;
 pub use component::Component;
@@ -63,6 +61,7 @@ pub use error::ComponentError;
 pub use foot_point::{Feature, FootPoint};
 pub use joining::ComponentOptions;
 pub use location::{Location, Side};
+pub use moldline_foundation::block::{self, Block};
 pub use moldline_spline::{SurfaceJet, SurfacePoint, Vector3};
 pub use patch::{Patch, PatchInput};
 pub use primitive::{Primitive, PrimitiveError};

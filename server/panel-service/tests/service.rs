@@ -1,18 +1,12 @@
 //! The panel service without a transport: ids, sharing, limits, cancellation.
 #![allow(clippy::unwrap_used, reason = "helpers of tests may panic")]
 
-use std::{
-    sync::Arc,
-    time::{Duration, Instant},
-};
+use std::sync::Arc;
 
 use moldline_host::{Code, ComputePool, PoolLimits, Principal, Role, Tenant};
 use moldline_panel::{Flow, Inputs, Options, Outputs, PanelSetup, Reference, Scalars, TrailingEdges};
 use moldline_panel_service::{AnalysisPoint, Definition, Geometry, Limits, PanelService};
-
-#[path = "../../panel/tests/suite/meshes.rs"]
-#[allow(dead_code, reason = "the panel crate's tests use it all")]
-mod meshes;
+use moldline_testing::{Wing, eventually, sphere};
 
 fn service(limits: Limits) -> Arc<PanelService> {
     let pool = ComputePool::new(PoolLimits { threads: 2, running: 2, queued: 8 }, usize::MAX).unwrap();
@@ -20,7 +14,7 @@ fn service(limits: Limits) -> Arc<PanelService> {
 }
 
 fn wing() -> Definition {
-    let mesh = meshes::Wing { half: true, ..meshes::Wing::rectangular(12, 8) }.mesh();
+    let mesh = Wing { half: true, ..Wing::rectangular(12, 8) }.mesh();
     Definition {
         cells: mesh.cells,
         vertices: mesh.vertices,
@@ -42,18 +36,6 @@ fn still(mach: f64) -> Geometry {
     Geometry { vertices: None, mach }
 }
 
-/// Polls `attempt` until it returns a value, for a minute at most; `what` is the value waited for.
-async fn eventually<T>(what: &str, mut attempt: impl AsyncFnMut() -> Option<T>) -> T {
-    let start = Instant::now();
-    loop {
-        if let Some(value) = attempt().await {
-            return value;
-        }
-        assert!(start.elapsed() < Duration::from_secs(60), "no {what} within a minute");
-        tokio::time::sleep(Duration::from_millis(1)).await;
-    }
-}
-
 #[tokio::test]
 async fn analyses_and_products_are_those_of_the_panel_method() {
     let service = service(Limits::default());
@@ -70,7 +52,7 @@ async fn analyses_and_products_are_those_of_the_panel_method() {
     stages.dedup();
     assert_eq!(stages, ["influence", "factorisation", "solution"]);
 
-    let mesh = meshes::Wing { half: true, ..meshes::Wing::rectangular(12, 8) }.mesh();
+    let mesh = Wing { half: true, ..Wing::rectangular(12, 8) }.mesh();
     let setup = PanelSetup::new(&mesh, wing().options).unwrap();
     let solution = Arc::new(setup.solve(&mesh.vertices, 0.3, &moldline_panel::NoMonitor).unwrap());
     assert_eq!(analysed.analyses[1], solution.analyse(&flow(0.05)).unwrap());
@@ -164,7 +146,7 @@ async fn older_solutions_are_evicted() {
 async fn dropping_a_request_stops_its_work() {
     let service = service(Limits::default());
     let caller = Principal::local();
-    let mesh = meshes::sphere(20);
+    let mesh = sphere(20);
     let definition = Definition {
         cells: mesh.cells,
         vertices: mesh.vertices,

@@ -1136,10 +1136,8 @@ impl<'a> Work<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{
-        NoMonitor, Symmetry,
-        meshes::{Random, Wing, partly_triangles, sphere},
-    };
+    use crate::{NoMonitor, Symmetry};
+    use moldline_testing::{Random, Wing, partly_triangles, sphere};
 
     /// A closed surface is seen from inside under 4 pi: also if its quadrilaterals are warped, with its image, and where slender cells lie
     /// near to the opposite ones, over a thin trailing edge.
@@ -1147,7 +1145,7 @@ mod tests {
     fn rows_of_the_doublet_matrix_sum_to_minus_one() {
         let mut warped = sphere(6);
         let mut random = Random::new(3);
-        warped.vertices.iter_mut().flatten().for_each(|x| *x += 0.03 * random.next());
+        warped.vertices.iter_mut().flatten().for_each(|x| *x += 0.03 * random.signed());
         let mixed = partly_triangles(&warped);
         let wing = |half| Wing { half, ..Wing::rectangular(24, 8) }.mesh();
         let thin = Wing { thickness: 0.01, ..Wing::rectangular(40, 8) }.mesh();

@@ -22,10 +22,6 @@ mod lanes;
 mod linearisation;
 mod lu;
 mod matrix;
-#[cfg(test)]
-#[path = "../tests/suite/meshes.rs"]
-#[allow(dead_code, clippy::unwrap_used, reason = "shared with the tests of the whole crate")]
-mod meshes;
 mod options;
 mod pressure;
 mod setup;

@@ -368,7 +368,8 @@ fn roots_at(wakes: &Wakes, end: u32) -> Vec<u32> {
 
 #[cfg(test)]
 mod tests {
-    use crate::{Options, PanelSetup, meshes::Wing};
+    use crate::{Options, PanelSetup};
+    use moldline_testing::Wing;
 
     /// An elliptic circulation over a plane trace has the least drag, `(integral Gamma dy)^2 2 / (pi b^2)`; the error falls with the square of
     /// the spacing.

@@ -157,9 +157,9 @@ mod tests {
     use crate::{
         NoMonitor, Options, PanelSetup, Solution, Symmetry, TrailingEdges,
         influence::Influence,
-        meshes::Wing,
         solution::{AnyState, State},
     };
+    use moldline_testing::Wing;
 
     /// The upward force by the velocity along the vortices, summed downstream.
     fn along_the_vortices<const B: usize>(solution: &Solution, state: &State<B>) -> [[f64; B]; B] {

@@ -1,13 +1,10 @@
 //! The mesh service on the real engine, without a transport.
 #![allow(clippy::unwrap_used, reason = "helpers of tests are tests")]
 
-mod ball;
-
 use std::{
     fs,
     path::{Path, PathBuf},
     sync::{Arc, Mutex},
-    time::{Duration, Instant},
 };
 
 use moldline_deform::Setup;
@@ -15,6 +12,7 @@ use moldline_service::{
     At, Code, ControlPointVectors, Design, Directions, FileEntry, Limits, Page, PoolLimits, Principal, Seeds,
     Service, ServiceError, Store, Upload, UploadHeader, UploadSource, Uploaded, Values, Wanted,
 };
+use moldline_testing::{ball, eventually};
 
 fn service(threads: usize, limits: Limits) -> Service {
     Service::new(PoolLimits { threads, running: threads, queued: 16 }, limits).unwrap()
@@ -56,18 +54,6 @@ fn uploaded(request_id: &str, file: &str) -> Uploaded {
     let mut upload = Upload::begin(header(request_id, file), &limits).unwrap();
     upload.append(0, file.as_bytes(), &limits).unwrap();
     upload.finish().unwrap()
-}
-
-/// Polls `attempt` until it returns a value, for a minute at most; `what` is the value waited for.
-async fn eventually<T>(what: &str, mut attempt: impl AsyncFnMut() -> Option<T>) -> T {
-    let start = Instant::now();
-    loop {
-        if let Some(value) = attempt().await {
-            return value;
-        }
-        assert!(start.elapsed() < Duration::from_secs(60), "no {what} within a minute");
-        tokio::time::sleep(Duration::from_millis(1)).await;
-    }
 }
 
 #[tokio::test]

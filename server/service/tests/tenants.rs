@@ -1,8 +1,6 @@
 //! Access control: every method, role and two tenants; sessions on several services; restarts.
 #![allow(clippy::unwrap_used, reason = "helpers of tests are tests")]
 
-mod ball;
-
 use std::collections::BTreeSet;
 
 use moldline_service::{
@@ -10,6 +8,7 @@ use moldline_service::{
     Service, ServiceError, SessionUpdate, Store, Tenant, Upload, UploadHeader, UploadSource, Uploaded,
     Values, Visibility, Wanted,
 };
+use moldline_testing::ball;
 
 fn tenant(name: &str) -> Tenant {
     Tenant::new(name).unwrap()

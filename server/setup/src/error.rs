@@ -12,12 +12,12 @@ pub enum SetupFileError {
     /// There is no set-up file, or more than one.
     #[error("{found}; expected one of setup.toml and setup.json in the top folder. Files: {known}")]
     SetupFile {
-        /// What there is instead.
+        /// The set-up files found.
         found: &'static str,
         /// Names of the files.
         known: String,
     },
-    /// A file that the set-up names is not there.
+    /// A file named by the set-up is missing.
     #[error("{field} = '{path}' is not among the files of the set-up: {known}")]
     MissingFile {
         /// Path of the field.
@@ -37,16 +37,16 @@ pub enum SetupFileError {
         /// What is wrong with it.
         reason: &'static str,
     },
-    /// More than is accepted.
+    /// More than the limit.
     #[error("{field}: {count} {what} exceed the limit of {limit}")]
     TooMany {
         /// Path of the field, file or archive.
         field: String,
         /// What is counted.
         what: &'static str,
-        /// How many there are (at least).
+        /// Their number, or a lower bound.
         count: u64,
-        /// How many are accepted.
+        /// Largest number accepted.
         limit: u64,
     },
     /// The document is not well-formed, lacks a field, has an unknown one or one of the wrong type.
@@ -59,7 +59,7 @@ pub enum SetupFileError {
         /// What is wrong.
         message: String,
     },
-    /// A version of the format that is not known.
+    /// An unknown version of the format.
     #[error("format = {found} is not supported; this program reads format = 1")]
     Format {
         /// The version found.
@@ -80,22 +80,22 @@ pub enum SetupFileError {
         field: String,
         /// Its value, as text.
         value: String,
-        /// What it has to be.
+        /// The requirement.
         requirement: String,
     },
-    /// Two lists, or a list and a degree, do not fit together.
+    /// The lengths of two lists, or of a list and a degree, do not match.
     #[error("{field} has {found} {what}, expected {expected}")]
     Size {
         /// Path of the list.
         field: String,
         /// Its length.
         found: usize,
-        /// What it consists of.
+        /// Kind of its entries.
         what: &'static str,
-        /// The length needed, and why.
+        /// The required length, and why.
         expected: String,
     },
-    /// A knot vector that is none.
+    /// An invalid knot vector.
     #[error("{field}: {source}")]
     Knots {
         /// Path of the knot vector.
@@ -110,10 +110,10 @@ pub enum SetupFileError {
         field: String,
         /// The fields to choose from.
         choices: &'static str,
-        /// Those that are there.
+        /// Those present.
         found: String,
     },
-    /// Two components, files or groups of one name.
+    /// Two components, files or groups of the same name.
     #[error("{field}: '{name}' occurs twice")]
     Duplicate {
         /// Path of the second.
@@ -121,7 +121,7 @@ pub enum SetupFileError {
         /// The name.
         name: String,
     },
-    /// Patches that make no component.
+    /// Patches that do not form a component.
     #[error("components[{index}] ('{name}'): {source}")]
     Component {
         /// Index of the component.
@@ -131,7 +131,7 @@ pub enum SetupFileError {
         /// What is wrong.
         source: ComponentError,
     },
-    /// A primitive that is none.
+    /// An invalid primitive.
     #[error("components[{index}].primitive ('{name}'): {source}")]
     Primitive {
         /// Index of the component.
@@ -141,7 +141,7 @@ pub enum SetupFileError {
         /// What is wrong.
         source: PrimitiveError,
     },
-    /// A mesh file that cannot be read, or holds no valid mesh.
+    /// A mesh file that cannot be read, or whose mesh is not valid.
     #[error("mesh ({file}): {source}")]
     MeshFile {
         /// Name of the file.
@@ -149,10 +149,10 @@ pub enum SetupFileError {
         /// What is wrong.
         source: ReadError,
     },
-    /// An inline mesh that is not valid.
+    /// An invalid inline mesh.
     #[error("mesh: {0}")]
     Mesh(#[from] MeshError),
-    /// A parameterisation that does not hold together.
+    /// An invalid parameterisation.
     #[error("parameterisation.{0}")]
     Parameterisation(#[from] ParameterisationError),
     /// An archive that cannot be read.

@@ -12,8 +12,7 @@ use tokio::{
 };
 use tonic::transport::Channel;
 
-#[path = "../../../service/tests/ball/mod.rs"]
-pub mod ball;
+pub use moldline_testing::ball;
 
 const POOL: PoolLimits = PoolLimits { threads: 2, running: 2, queued: 8 };
 

@@ -1,19 +1,16 @@
 //! Every route and RPC of the panel method, with plain clients over loopback.
 
 use moldline_proto::v1::{self, panel_service_client::PanelServiceClient};
+use moldline_testing::Wing;
 use serde_json::{Value, json};
 use tokio_stream::StreamExt;
 
 use crate::{harness::Server, http::compare_routes_with_rpcs};
 
-#[path = "../../../panel/tests/suite/meshes.rs"]
-#[allow(dead_code, reason = "the panel crate's tests use it all")]
-mod meshes;
-
 const ROOM: u64 = 256 << 20;
 
 fn wing() -> Value {
-    let mesh = meshes::Wing { half: true, ..meshes::Wing::rectangular(12, 8) }.mesh();
+    let mesh = Wing { half: true, ..Wing::rectangular(12, 8) }.mesh();
     let cells: Vec<&[u32]> = mesh.cells.iter().map(|cell| cell.vertices()).collect();
     json!({
         "cells": cells,

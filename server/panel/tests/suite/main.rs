@@ -5,6 +5,5 @@
 mod derivatives;
 mod dual;
 mod flow;
-mod meshes;
 mod refusals;
 mod solvers;

@@ -5,7 +5,6 @@ use std::collections::HashMap;
 /// Cells along an edge of the cube.
 const CELLS: usize = 6;
 /// Vertices of the mesh.
-#[allow(dead_code, reason = "not every test counts them")]
 pub const VERTICES: usize = 6 * CELLS * CELLS + 2;
 
 /// The set-up file; `title` makes it another set-up.

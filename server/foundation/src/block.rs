@@ -1,6 +1,6 @@
 //! Tangents and seeds of several directions at once.
 
-use moldline_foundation::Vector3;
+use crate::Vector3;
 
 /// A matrix with a row of `width` numbers for each item, row after row.
 ///

@@ -1,4 +1,4 @@
-//! Meshes for the tests.
+//! Generated surface meshes.
 
 use moldline_mesh::{Cell, Group, SurfaceMesh};
 
@@ -32,19 +32,24 @@ pub fn sphere(n: usize) -> SurfaceMesh {
 
 /// A wing with NACA 0012 sections of sharp trailing edge and flat tips: `around` cells around, `span` along the span.
 pub struct Wing {
+    /// Cells around a section.
     pub around: usize,
+    /// Cells along the span.
     pub span: usize,
+    /// Half the span, m.
     pub half_span: f64,
-    /// Chord and leading edge at the spanwise fraction -1..1.
+    /// Chord at a spanwise fraction in -1..1, m.
     pub chord: fn(f64) -> f64,
+    /// x of the leading edge there, m.
     pub leading_edge: fn(f64) -> f64,
     /// Thickness over chord.
     pub thickness: f64,
-    /// Only y >= 0.
+    /// Whether to keep only y >= 0.
     pub half: bool,
 }
 
 impl Wing {
+    /// Chord 1 m, half span 4 m, thickness 12 %.
     pub fn rectangular(around: usize, span: usize) -> Self {
         Self {
             around,
@@ -57,6 +62,7 @@ impl Wing {
         }
     }
 
+    /// The mesh, with a vertex group `trailing_edge`.
     pub fn mesh(&self) -> SurfaceMesh {
         let (n, m) = (self.around, self.span);
         let mut vertices = Vec::new();
@@ -117,6 +123,7 @@ pub struct Builder {
 }
 
 impl Builder {
+    /// Adds a triangle or quadrilateral; corners within a nanometre are the same vertex.
     pub fn cell(&mut self, corners: &[[f64; 3]]) {
         let indices: Vec<u32> = corners
             .iter()
@@ -135,6 +142,7 @@ impl Builder {
         });
     }
 
+    /// The mesh.
     pub fn finish(self) -> SurfaceMesh {
         SurfaceMesh::new(self.vertices, self.cells, Vec::new(), Vec::new()).unwrap()
     }
@@ -152,22 +160,4 @@ pub fn partly_triangles(mesh: &SurfaceMesh) -> SurfaceMesh {
         }
     }
     SurfaceMesh::new(mesh.vertices.clone(), cells, Vec::new(), mesh.vertex_groups.clone()).unwrap()
-}
-
-/// Deterministic numbers within -1..1.
-pub struct Random(u64);
-
-impl Random {
-    pub fn new(seed: u64) -> Self {
-        Self(seed)
-    }
-
-    pub fn next(&mut self) -> f64 {
-        self.0 = self.0.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-        2.0 * ((self.0 >> 11) as f64 / (1u64 << 53) as f64) - 1.0
-    }
-
-    pub fn vectors(&mut self, count: usize) -> Vec<[f64; 3]> {
-        (0..count).map(|_| [self.next(), self.next(), self.next()]).collect()
-    }
 }

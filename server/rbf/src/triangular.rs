@@ -1,11 +1,11 @@
-//! Solutions with a Cholesky factor for a few columns, in parallel over the rows of each: libraries share out many columns. Every
-//! number is summed in one order, whatever the number of threads.
+//! Triangular solves with a Cholesky factor for a few columns, in parallel over rows, where libraries are parallel over many columns.
+//! Every number is summed in one order, whatever the number of threads.
 
 use faer::Mat;
 use moldline_foundation::simd::widest;
 use rayon::prelude::*;
 
-use super::LANES;
+use crate::LANES;
 
 /// Unknowns found one after another before they are taken from the rest, and rows of a tile.
 const TILE: usize = 64;
@@ -15,23 +15,23 @@ const TILES: usize = 8;
 const UNKNOWNS: usize = 16;
 
 /// Numbers for the rows of a matrix, a column for each right-hand side: tile after tile of rows, column after column within each.
-pub(super) struct Tiles {
+pub(crate) struct Tiles {
     values: Vec<f64>,
     columns: usize,
 }
 
 impl Tiles {
-    pub(super) fn zeros(rows: usize, columns: usize) -> Self {
+    pub(crate) fn zeros(rows: usize, columns: usize) -> Self {
         Self { values: vec![0.0; rows.next_multiple_of(TILE) * columns], columns }
     }
 
-    pub(super) fn get_mut(&mut self, row: usize, column: usize) -> &mut f64 {
+    pub(crate) fn get_mut(&mut self, row: usize, column: usize) -> &mut f64 {
         &mut self.values[(row / TILE * self.columns + column) * TILE + row % TILE]
     }
 }
 
 /// Solves `L L^T x = b` in place. Of `lower` only the lower triangle is read.
-pub(super) fn solve(lower: &Mat<f64>, b: &mut Tiles) {
+pub(crate) fn solve(lower: &Mat<f64>, b: &mut Tiles) {
     if b.columns > 0 {
         forward(lower, b);
         backward(lower, b);
@@ -127,7 +127,7 @@ mod tests {
     #[test]
     fn undoes_the_product_of_both_factors() {
         for (size, columns) in [(1, 1), (5, 2), (TILE, 3), (3 * TILE, 1), (TILE * (TILES + 3) + 17, 3)] {
-            // The upper triangle is not to be read.
+            // The upper triangle must not be read.
             let lower = Mat::from_fn(size, size, |i, j| match i.cmp(&j) {
                 std::cmp::Ordering::Less => f64::NAN,
                 std::cmp::Ordering::Equal => 2.0 + (0.3 * i as f64).sin(),

@@ -1,154 +1,109 @@
-//! Sums over cubic functions, `sum_j |t - s_j|^3 w_j + a . [1, t]`, whose terms may be millions of times as large as they are.
+//! Sums over cubic functions, `sum_j |t - s_j|^3 w_j + a . [1, t]`, with more digits than a double: their terms may be millions of
+//! times as large as they are.
 //!
-//! Every kernel value and every weight is cut in two, `k = k_1 + k_2` and `w = w_1 + w_2`, the first parts so short that all
+//! Every kernel value and every weight is split without error, `k = k_1 + k_2` and `w = w_1 + w_2`, the high parts so short that all
 //! products and sums of them are exact in double precision, whatever the order (Ozaki, Ogita, Oishi and Rump, Error-free
 //! transformations of matrix multiplication, Numerical Algorithms 59, 2012). What remains, `k_1 w_2 + k_2 w`, is
 //! `2^-b` times as large, and so is its rounding; b is about 20.
 //!
-//! Kernel values are formed with some 75 bits. Coordinates are cut in two as well, so that `t - s = d_1 + d_2` and `q = sum d_1^2`
-//! is exact; then `r^2 = q + e` with `e = sum (2 d_1 + d_2) d_2`. From any `r` near the root, `t = (q - r^2) + e` is what it is off by
-//! in the square, and `r^3 + 3/2 r t = r q + r (e + t / 2)` the cube, beyond which there is nothing left.
+//! Kernel values are formed with some 75 bits. Coordinates are split as well, so that `t - s = d_1 + d_2` and `q = sum d_1^2`
+//! is exact; then `r^2 = q + e` with `e = sum (2 d_1 + d_2) d_2`. Any `r` near the root misses the square by `t = (q - r^2) + e`,
+//! and the cube is `r^3 + 3/2 r t = r q + r (e + t / 2)`, up to terms that are too small to count.
 
 use faer::{Accum, MatMut, MatRef, Par, linalg::matmul::matmul};
-use moldline_geometry::Block;
-use moldline_spline::Vector3;
 use pulp::{Arch, Simd, WithSimd};
 use rayon::prelude::*;
 
-use super::{AFFINE, Cloud, FEW, PANEL, Part, TILE, largest, monomials};
+use super::{PANEL, Sums, TILE};
+use crate::{
+    Block, FEW, Vector3,
+    coefficients::{Part, largest},
+    error_free::{Splitter, two_sum},
+    points::Points,
+    polynomial::{AFFINE, monomials},
+};
 
-/// Bits of the first parts of coordinates: three squares of their differences have one more than twice as many, and two.
+/// Bits of the high parts of coordinates: three squares of their differences have one more than twice as many, and two.
 const COORDINATE_BITS: i32 = 25;
 /// Sources whose kernel values are used at once by all vectors of a tile: spread over their lanes, they fit the innermost cache.
 const BLOCK: usize = 16;
 
 /// Sums, a row for each target and a column for each column of weights.
-pub(super) struct Sums {
-    /// Of products of first parts, without rounding.
+struct SplitSums {
+    /// Of products of high parts, without rounding.
     exact: Block,
-    /// Of all the rest.
+    /// Of all other products.
     rest: Block,
 }
 
-impl Sums {
+impl SplitSums {
     fn zeros(count: usize, columns: usize) -> Self {
         Self { exact: Block::zeros(count, columns), rest: Block::zeros(count, columns) }
     }
 
-    /// In doubles.
-    pub(super) fn total(self) -> Block {
-        self.pair().0
-    }
-
     /// In doubles, and what that rounds off.
-    pub(super) fn pair(mut self) -> (Block, Block) {
+    fn round(mut self) -> Sums {
         for (a, b) in self.exact.data_mut().iter_mut().zip(self.rest.data_mut()) {
             (*a, *b) = two_sum(*a, *b);
         }
-        (self.exact, self.rest)
-    }
-}
-
-/// `a + b` rounded, and what is rounded off (Knuth).
-#[inline(always)]
-pub(super) fn two_sum(a: f64, b: f64) -> (f64, f64) {
-    let sum = a + b;
-    let part = sum - a;
-    (sum, (a - (sum - part)) + (b - part))
-}
-
-/// `a b` rounded, and what is rounded off.
-#[inline(always)]
-pub(super) fn two_product(a: f64, b: f64) -> (f64, f64) {
-    let product = a * b;
-    (product, a.mul_add(b, -product))
-}
-
-/// Cuts numbers in two.
-#[derive(Clone, Copy)]
-struct Cut(f64);
-
-impl Cut {
-    /// First parts of numbers up to `largest` are multiples of `2^-bits` times the next power of two.
-    fn new(largest: f64, bits: i32) -> Self {
-        let above = f64::from_bits(((largest.to_bits() >> 52) + 1) << 52);
-        // Between 2^52 and 2^53 times that multiple, which is the distance between the doubles there.
-        Self(1.5 * above * 2_f64.powi(52 - bits))
-    }
-
-    /// Bits for which sums of so many products of first parts are exact.
-    fn bits(products: usize) -> i32 {
-        (53 - products.next_power_of_two().trailing_zeros() as i32) / 2
-    }
-
-    /// The first part.
-    #[inline(always)]
-    fn first(self, x: f64) -> f64 {
-        (x + self.0) - self.0
-    }
-
-    /// Both parts.
-    #[inline(always)]
-    fn both(self, x: f64) -> [f64; 2] {
-        let first = self.first(x);
-        [first, x - first]
+        Sums { leading: self.exact, remainder: Some(self.rest) }
     }
 }
 
 /// Weights and affine parts, one below the other, column after column.
 struct Weights {
     rows: usize,
-    first: Vec<f64>,
-    second: Vec<f64>,
+    high: Vec<f64>,
+    low: Vec<f64>,
     whole: Vec<f64>,
 }
 
 impl Weights {
-    fn new(count: usize, leading: &Part, rest: Option<&Part>, bits: i32) -> Self {
+    fn new(count: usize, leading: &Part, remainder: Option<&Part>, bits: i32) -> Self {
         let columns = leading.columns();
         let column = |part: &Part, c: usize| -> Vec<f64> {
             let affine = (0..AFFINE).map(|k| part.affine.row(k)[c]);
             part.weights_of(c)[..count].iter().copied().chain(affine).collect()
         };
         let whole: Vec<f64> = (0..columns).flat_map(|c| column(leading, c)).collect();
-        let mut second: Vec<f64> = match rest {
-            Some(rest) => (0..columns).flat_map(|c| column(rest, c)).collect(),
+        let mut low: Vec<f64> = match remainder {
+            Some(remainder) => (0..columns).flat_map(|c| column(remainder, c)).collect(),
             None => vec![0.0; whole.len()],
         };
         let rows = count + AFFINE;
-        let mut first = whole.clone();
-        for (first, second) in first.chunks_mut(rows).zip(second.chunks_mut(rows)) {
-            let cut = Cut::new(largest(first), bits);
-            for (first, second) in first.iter_mut().zip(second) {
-                let whole = *first;
-                *first = cut.first(whole);
-                *second += whole - *first;
+        let mut high = whole.clone();
+        for (high, low) in high.chunks_mut(rows).zip(low.chunks_mut(rows)) {
+            let splitter = Splitter::new(largest(high), bits);
+            for (high, low) in high.iter_mut().zip(low) {
+                let whole = *high;
+                *high = splitter.high(whole);
+                *low += whole - *high;
             }
         }
-        Self { rows, first, second, whole }
+        Self { rows, high, low, whole }
     }
 
-    /// First parts, second parts and wholes of one row.
+    /// High parts, low parts and wholes of one row.
     fn row<const N: usize>(&self, row: usize) -> [[f64; N]; 3] {
-        [&self.first, &self.second, &self.whole].map(|of| std::array::from_fn(|k| of[k * self.rows + row]))
+        [&self.high, &self.low, &self.whole].map(|of| std::array::from_fn(|k| of[k * self.rows + row]))
     }
 }
 
 /// The sums at each target.
-pub(super) fn sums(targets: &[Vector3], sources: &Cloud, leading: &Part, rest: Option<&Part>) -> Sums {
+pub(crate) fn sum(targets: &[Vector3], sources: &Points, leading: &Part, remainder: Option<&Part>) -> Sums {
     let columns = leading.columns();
-    let mut sums = Sums::zeros(targets.len(), columns);
+    let mut sums = SplitSums::zeros(targets.len(), columns);
     if columns == 0 {
-        return sums;
+        return sums.round();
     }
-    let bits = Cut::bits(sources.count + AFFINE);
-    let weights = Weights::new(sources.count, leading, rest, bits);
-    let points = sources.points();
+    let bits = Splitter::bits(sources.count() + AFFINE);
+    let weights = Weights::new(sources.count(), leading, remainder, bits);
+    let points = sources.to_vectors();
     let reach = points.iter().map(Vector3::norm).fold(0.0, f64::max);
     let farthest = targets.iter().map(Vector3::amax).fold(reach, f64::max);
-    let cut = Cut::new(2.0 * farthest, COORDINATE_BITS);
-    let split: Vec<Split<f64>> = points.iter().map(|s| Split::new(s, cut)).collect();
-    let tile = |targets: &[Vector3]| Tile::new(targets, cut, reach, bits);
+    let splitter = Splitter::new(2.0 * farthest, COORDINATE_BITS);
+    let split: Vec<Split<f64>> = points.iter().map(|s| Split::new(s, splitter)).collect();
+    let tile = |targets: &[Vector3]| Tile::new(targets, splitter, reach, bits);
     let tiles = targets
         .par_chunks(TILE)
         .zip(sums.exact.data_mut().par_chunks_mut(TILE * columns))
@@ -159,10 +114,10 @@ pub(super) fn sums(targets: &[Vector3], sources: &Cloud, leading: &Part, rest: O
         FEW => few::<FEW>(tiles, tile, &split, &weights),
         _ => many(tiles, tile, &split, &weights, columns),
     }
-    sums
+    sums.round()
 }
 
-/// Targets of a task, and where its sums go, exact ones and the rest.
+/// Targets of a task, and its part of the sums, exact ones and the rest.
 type Task<'a> = ((&'a [Vector3], &'a mut [f64]), &'a mut [f64]);
 
 /// The sums of few columns: kernel values are formed and used in registers.
@@ -177,15 +132,15 @@ fn few<'a, const N: usize>(
     let (weights, affine) = rows.split_at(sources.len());
     tasks.for_each(|((targets, exact), rest)| {
         let tile = tile(targets);
-        let [firsts, rests] = arch.dispatch(Radial { tile: &tile, sources, weights });
+        let [highs, rests] = arch.dispatch(Radial { tile: &tile, sources, weights });
         let rows = exact.chunks_exact_mut(N).zip(rest.chunks_exact_mut(N));
         for (i, ((exact, rest), target)) in rows.zip(targets).enumerate() {
-            (0..N).for_each(|c| (exact[c], rest[c]) = (firsts[c].0[i], rests[c].0[i]));
+            (0..N).for_each(|c| (exact[c], rest[c]) = (highs[c].0[i], rests[c].0[i]));
             for (value, [w_1, w_2, w]) in monomials(target).into_iter().zip(affine) {
-                let [first, second] = Cut(tile.cuts.0[i]).both(value);
+                let [high, low] = Splitter(tile.splitters.0[i]).split(value);
                 for c in 0..N {
-                    exact[c] += first * w_1[c];
-                    rest[c] += first * w_2[c] + second * w[c];
+                    exact[c] += high * w_1[c];
+                    rest[c] += high * w_2[c] + low * w[c];
                 }
             }
         }
@@ -203,52 +158,52 @@ fn many<'a>(
     let arch = Arch::new();
     tasks.for_each_init(
         || [vec![0.0; TILE * PANEL], vec![0.0; TILE * PANEL]],
-        |[firsts, seconds], ((targets, exact), rest)| {
+        |[highs, lows], ((targets, exact), rest)| {
             let (tile, rows) = (tile(targets), targets.len());
-            let mut first = 0;
-            while first < weights.rows {
-                let width = match sources.get(first..) {
+            let mut begin = 0;
+            while begin < weights.rows {
+                let width = match sources.get(begin..) {
                     Some(sources) if !sources.is_empty() => {
                         let sources = &sources[..PANEL.min(sources.len())];
-                        arch.dispatch(Panel { tile: &tile, sources, firsts, seconds });
+                        arch.dispatch(Panel { tile: &tile, sources, highs, lows });
                         sources.len()
                     }
-                    _ => tile.affine(targets, firsts, seconds),
+                    _ => tile.affine(targets, highs, lows),
                 };
                 let add = |panel: &[f64], weights_of: &[f64], out: &mut [f64]| {
                     let panel = MatRef::from_column_major_slice_with_stride(panel, rows, width, TILE);
-                    let below = &weights_of[first..];
+                    let below = &weights_of[begin..];
                     let some =
                         MatRef::from_column_major_slice_with_stride(below, width, columns, weights.rows);
                     let out = MatMut::from_row_major_slice_mut(out, rows, columns);
                     matmul(out, Accum::Add, panel, some, 1.0, Par::Seq);
                 };
-                add(firsts, &weights.first, exact);
-                add(firsts, &weights.second, rest);
-                add(seconds, &weights.whole, rest);
-                first += width;
+                add(highs, &weights.high, exact);
+                add(highs, &weights.low, rest);
+                add(lows, &weights.whole, rest);
+                begin += width;
             }
         },
     );
 }
 
-/// Points whose coordinates are cut in two: one, or as many as a number of type `T` has parts. Vectors do not cross cache lines.
+/// Points whose coordinates are split in two: one, or as many as a number of type `T` has parts. Vectors do not cross cache lines.
 #[derive(Clone, Copy)]
 #[repr(C, align(64))]
 struct Split<T> {
-    first: [T; 3],
-    second: [T; 3],
-    /// `2 first + second`, rounded.
+    high: [T; 3],
+    low: [T; 3],
+    /// `2 high + low`, rounded.
     twice: [T; 3],
 }
 
 impl Split<f64> {
-    fn new(point: &Vector3, cut: Cut) -> Self {
-        let both: [[f64; 2]; 3] = std::array::from_fn(|axis| cut.both(point[axis]));
+    fn new(point: &Vector3, splitter: Splitter) -> Self {
+        let both: [[f64; 2]; 3] = std::array::from_fn(|axis| splitter.split(point[axis]));
         Self {
-            first: both.map(|[first, _]| first),
-            second: both.map(|[_, second]| second),
-            twice: both.map(|[first, second]| 2.0 * first + second),
+            high: both.map(|[high, _]| high),
+            low: both.map(|[_, low]| low),
+            twice: both.map(|[high, low]| 2.0 * high + low),
         }
     }
 }
@@ -256,8 +211,8 @@ impl Split<f64> {
 impl<T> Split<T> {
     #[inline(always)]
     fn map<U>(&self, mut f: impl FnMut(&T) -> U) -> Split<U> {
-        let [[a, b, c], [d, e, g], [h, k, l]] = [&self.first, &self.second, &self.twice];
-        Split { first: [f(a), f(b), f(c)], second: [f(d), f(e), f(g)], twice: [f(h), f(k), f(l)] }
+        let [[a, b, c], [d, e, g], [h, k, l]] = [&self.high, &self.low, &self.twice];
+        Split { high: [f(a), f(b), f(c)], low: [f(d), f(e), f(g)], twice: [f(h), f(k), f(l)] }
     }
 }
 
@@ -283,24 +238,24 @@ impl Row {
 /// Targets of one task.
 struct Tile {
     at: Split<Row>,
-    /// How each of them cuts its kernel values.
-    cuts: Row,
+    /// The constant that splits the kernel values of each target.
+    splitters: Row,
 }
 
 impl Tile {
-    /// `coordinates` cuts these; `reach`: distance of the farthest source from the origin.
-    fn new(targets: &[Vector3], coordinates: Cut, reach: f64, bits: i32) -> Self {
+    /// `coordinates` splits these; `reach`: distance of the farthest source from the origin.
+    fn new(targets: &[Vector3], coordinates: Splitter, reach: f64, bits: i32) -> Self {
         let zeros = [Row::ZEROS; 3];
-        let mut tile = Self { at: Split { first: zeros, second: zeros, twice: zeros }, cuts: Row::ZEROS };
+        let mut tile = Self { at: Split { high: zeros, low: zeros, twice: zeros }, splitters: Row::ZEROS };
         for (i, target) in targets.iter().enumerate() {
             let split = Split::new(target, coordinates);
             for axis in 0..3 {
-                tile.at.first[axis].0[i] = split.first[axis];
-                tile.at.second[axis].0[i] = split.second[axis];
+                tile.at.high[axis].0[i] = split.high[axis];
+                tile.at.low[axis].0[i] = split.low[axis];
                 tile.at.twice[axis].0[i] = split.twice[axis];
             }
             // Not less than any kernel value, nor than any of the affine functions.
-            tile.cuts.0[i] = Cut::new((1.001 * (target.norm() + reach)).powi(3).max(1.0), bits).0;
+            tile.splitters.0[i] = Splitter::new((1.001 * (target.norm() + reach)).powi(3).max(1.0), bits).0;
         }
         tile
     }
@@ -317,18 +272,18 @@ impl Tile {
         }
     }
 
-    /// First and second parts of the affine functions, one after the other; returns how many there are.
-    fn affine(&self, targets: &[Vector3], firsts: &mut [f64], seconds: &mut [f64]) -> usize {
+    /// High and low parts of the affine functions, one after the other; returns how many there are.
+    fn affine(&self, targets: &[Vector3], highs: &mut [f64], lows: &mut [f64]) -> usize {
         for (i, target) in targets.iter().enumerate() {
             for (k, value) in monomials(target).into_iter().enumerate() {
-                [firsts[k * TILE + i], seconds[k * TILE + i]] = Cut(self.cuts.0[i]).both(value);
+                [highs[k * TILE + i], lows[k * TILE + i]] = Splitter(self.splitters.0[i]).split(value);
             }
         }
         AFFINE
     }
 }
 
-/// A distance: `squares + small` is its square, `r` nearly the root of that, or what the root is to be taken of.
+/// A distance: `squares + small` is its square; `r` is that sum rounded, and nearly its root once that is taken.
 #[derive(Clone, Copy)]
 #[repr(C, align(32))]
 struct Distance<S: Simd> {
@@ -347,11 +302,11 @@ impl<S: Simd> Distance<S> {
     /// Without its root.
     #[inline(always)]
     fn new(simd: S, target: &Split<S::f64s>, source: &Split<S::f64s>) -> Self {
-        let first = difference(simd, target.first, source.first);
-        let squares = dot(simd, first, first);
-        let second = difference(simd, target.second, source.second);
-        let small = dot(simd, difference(simd, target.twice, source.twice), second);
-        // Rounding may take it below zero where first parts differ and wholes hardly do.
+        let high = difference(simd, target.high, source.high);
+        let squares = dot(simd, high, high);
+        let low = difference(simd, target.low, source.low);
+        let small = dot(simd, difference(simd, target.twice, source.twice), low);
+        // Rounding may take it below zero where high parts differ and wholes hardly do.
         let r = simd.max_f64s(simd.add_f64s(squares, small), simd.splat_f64s(0.0));
         Self { squares, small, r }
     }
@@ -361,15 +316,15 @@ impl<S: Simd> Distance<S> {
         self.r = simd.sqrt_f64s(self.r);
     }
 
-    /// Its third power, cut in two.
+    /// Its third power, split in two.
     #[inline(always)]
-    fn cube(&self, simd: S, cut: S::f64s) -> [S::f64s; 2] {
+    fn cube(&self, simd: S, splitter: S::f64s) -> [S::f64s; 2] {
         let Self { squares, small, r } = *self;
         let off = simd.add_f64s(simd.mul_add_f64s(simd.neg_f64s(r), r, squares), small);
         let more = simd.mul_add_f64s(simd.splat_f64s(0.5), off, small);
-        let first = simd.sub_f64s(simd.mul_add_f64s(r, squares, cut), cut);
-        let second = simd.mul_add_f64s(r, squares, simd.neg_f64s(first));
-        [first, simd.mul_add_f64s(r, more, second)]
+        let high = simd.sub_f64s(simd.mul_add_f64s(r, squares, splitter), splitter);
+        let low = simd.mul_add_f64s(r, squares, simd.neg_f64s(high));
+        [high, simd.mul_add_f64s(r, more, low)]
     }
 }
 
@@ -395,7 +350,7 @@ impl<S: Simd> Near<S> {
     #[inline(always)]
     fn new(simd: S) -> Self {
         let zeros = [simd.splat_f64s(0.0); 3];
-        let at = [Split { first: zeros, second: zeros, twice: zeros }; BLOCK];
+        let at = [Split { high: zeros, low: zeros, twice: zeros }; BLOCK];
         Self { simd, at, distances: [[Distance::zero(simd); BLOCK]; 2] }
     }
 
@@ -441,7 +396,7 @@ fn spread<S: Simd>(simd: S, point: &Split<f64>) -> Split<S::f64s> {
 struct Radial<'a, const N: usize> {
     tile: &'a Tile,
     sources: &'a [Split<f64>],
-    /// First parts, second parts and wholes of each source.
+    /// High parts, low parts and wholes of each source.
     weights: &'a [[[f64; N]; 3]],
 }
 
@@ -468,17 +423,17 @@ impl<const N: usize> WithSimd for Radial<'_, N> {
                 sources,
                 #[inline(always)]
                 |at, these, next| {
-                    let cut = self.tile.cuts.get::<S>(at);
+                    let splitter = self.tile.splitters.get::<S>(at);
                     let [mut exact, mut rest] = [[zero; N]; 2];
                     for c in 0..N {
                         (exact[c], rest[c]) = (sums[0][c].get::<S>(at), sums[1][c].get::<S>(at));
                     }
                     for ((distance, [w_1, w_2, w]), next) in these.iter().zip(&weights).zip(next) {
                         next.take_root(simd);
-                        let [first, second] = distance.cube(simd, cut);
+                        let [high, low] = distance.cube(simd, splitter);
                         for c in 0..N {
-                            exact[c] = simd.mul_add_f64s(first, w_1[c], exact[c]);
-                            let more = simd.mul_add_f64s(second, w[c], simd.mul_f64s(first, w_2[c]));
+                            exact[c] = simd.mul_add_f64s(high, w_1[c], exact[c]);
+                            let more = simd.mul_add_f64s(low, w[c], simd.mul_f64s(high, w_2[c]));
                             rest[c] = simd.add_f64s(rest[c], more);
                         }
                     }
@@ -493,12 +448,12 @@ impl<const N: usize> WithSimd for Radial<'_, N> {
     }
 }
 
-/// First and second parts of the kernel values of a tile, source after source.
+/// High and low parts of the kernel values of a tile, source after source.
 struct Panel<'a> {
     tile: &'a Tile,
     sources: &'a [Split<f64>],
-    firsts: &'a mut [f64],
-    seconds: &'a mut [f64],
+    highs: &'a mut [f64],
+    lows: &'a mut [f64],
 }
 
 impl WithSimd for Panel<'_> {
@@ -507,19 +462,19 @@ impl WithSimd for Panel<'_> {
     #[inline(always)]
     fn with_simd<S: Simd>(self, simd: S) {
         let vectors = TILE / S::F64_LANES;
-        let (firsts, seconds) = (S::as_mut_simd_f64s(self.firsts).0, S::as_mut_simd_f64s(self.seconds).0);
+        let (highs, lows) = (S::as_mut_simd_f64s(self.highs).0, S::as_mut_simd_f64s(self.lows).0);
         let mut near = Near::new(simd);
-        let parts = firsts.chunks_mut(BLOCK * vectors).zip(seconds.chunks_mut(BLOCK * vectors));
-        for (sources, (firsts, seconds)) in self.sources.chunks(BLOCK).zip(parts) {
+        let parts = highs.chunks_mut(BLOCK * vectors).zip(lows.chunks_mut(BLOCK * vectors));
+        for (sources, (highs, lows)) in self.sources.chunks(BLOCK).zip(parts) {
             near.each_vector(
                 self.tile,
                 sources,
                 #[inline(always)]
                 |at, these, next| {
-                    let cut = self.tile.cuts.get::<S>(at);
+                    let splitter = self.tile.splitters.get::<S>(at);
                     for (j, (distance, next)) in these.iter().zip(next).enumerate() {
                         next.take_root(simd);
-                        [firsts[j * vectors + at], seconds[j * vectors + at]] = distance.cube(simd, cut);
+                        [highs[j * vectors + at], lows[j * vectors + at]] = distance.cube(simd, splitter);
                     }
                 },
             );
@@ -527,39 +482,41 @@ impl WithSimd for Panel<'_> {
     }
 }
 
-/// `sum_j w_j [1, s_j]`: the transpose of the affine part.
-pub(super) fn moments(sources: &Cloud, leading: &Part, rest: Option<&Part>) -> Sums {
-    let (count, columns) = (sources.count, leading.columns());
-    let mut sums = Sums::zeros(AFFINE, columns);
-    let bits = Cut::bits(count + AFFINE);
-    let weights = Weights::new(count, leading, rest, bits);
+/// `sum_j w_j [1, s_j]`.
+pub(crate) fn moments(sources: &Points, leading: &Part, remainder: Option<&Part>) -> Sums {
+    let (count, columns) = (sources.count(), leading.columns());
+    let mut sums = SplitSums::zeros(AFFINE, columns);
+    let bits = Splitter::bits(count + AFFINE);
+    let weights = Weights::new(count, leading, remainder, bits);
     for k in 0..AFFINE {
         let values: Vec<f64> = (0..count).map(|j| monomials(&sources.get(j))[k]).collect();
-        let cut = Cut::new(largest(&values), bits);
+        let splitter = Splitter::new(largest(&values), bits);
         for column in 0..columns {
             let row = column * weights.rows;
             let (mut exact, mut rest) = (0.0, 0.0);
             for (j, &value) in values.iter().enumerate() {
-                let (first, at) = (cut.first(value), row + j);
-                exact += first * weights.first[at];
-                rest += first * weights.second[at] + (value - first) * weights.whole[at];
+                let (high, at) = (splitter.high(value), row + j);
+                exact += high * weights.high[at];
+                rest += high * weights.low[at] + (value - high) * weights.whole[at];
             }
             sums.exact.row_mut(k)[column] = exact;
             sums.rest.row_mut(k)[column] = rest;
         }
     }
-    sums
+    sums.round()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::error_free::two_product;
+    use moldline_testing::Random;
 
     struct Cubes {
         target: Vector3,
         source: Vector3,
-        coordinates: Cut,
-        cut: Cut,
+        coordinates: Splitter,
+        splitter: Splitter,
     }
 
     impl WithSimd for Cubes {
@@ -571,7 +528,7 @@ mod tests {
                 [&self.target, &self.source].map(|point| spread(simd, &Split::new(point, self.coordinates)));
             let mut distance = Distance::new(simd, &target, &source);
             distance.take_root(simd);
-            let parts = distance.cube(simd, simd.splat_f64s(self.cut.0));
+            let parts = distance.cube(simd, simd.splat_f64s(self.splitter.0));
             let mut row = Row::ZEROS;
             parts.map(|part| {
                 row.set::<S>(0, part);
@@ -595,25 +552,22 @@ mod tests {
     /// The square of a kernel value is `r^6`, which takes no root.
     #[test]
     fn kernel_values_have_more_digits_than_a_double() {
-        let mut state = 5_u64;
-        let mut next = |bits: i32| {
-            state = state.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
-            // Multiples of 2^-40 up to 2^bits: their differences are exact.
-            ((state >> 23) as f64 * 2_f64.powi(-40) - 1.0) * 2_f64.powi(bits)
-        };
-        let (coordinates, cut) = (Cut::new(2.0, COORDINATE_BITS), Cut::new(64.0, 20));
+        let mut random = Random::new(5);
+        // Multiples of 2^-40, whose differences are exact.
+        let on_grid = |x: f64| (x * 2_f64.powi(40)).round() * 2_f64.powi(-40);
+        let mut next = |bits: i32| on_grid(random.signed()) * 2_f64.powi(bits);
+        let (coordinates, splitter) = (Splitter::new(2.0, COORDINATE_BITS), Splitter::new(64.0, 20));
         for i in 0..4000 {
-            let on_grid = |x: f64| (x * 2_f64.powi(40)).round() * 2_f64.powi(-40);
             let target = Vector3::new(next(0), next(0), next(0));
-            // Far, near, within what first parts see, and the same.
+            // Far, near, within what high parts see, and the same.
             let reach = [0, -8, -24, -60][i % 4];
             let source = target + Vector3::new(next(reach), next(reach), next(reach)).map(on_grid);
-            let [first, second] = Arch::new().dispatch(Cubes { target, source, coordinates, cut });
-            assert_eq!(first, cut.first(first));
+            let [high, low] = Arch::new().dispatch(Cubes { target, source, coordinates, splitter });
+            assert_eq!(high, splitter.high(high));
             let d = target - source;
             let squared = d.iter().map(|&x| two_product(x, x)).fold((0.0, 0.0), plus);
             let sixth = times(times(squared, squared), squared);
-            let value = two_sum(first, second);
+            let value = two_sum(high, low);
             let (off, rest) = plus(times(value, value), (-sixth.0, -sixth.1));
             let error = (off + rest).abs() / (2.0 * value.0).max(2_f64.powi(-66));
             // Largest values are 2^6.
