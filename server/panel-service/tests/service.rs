@@ -3,8 +3,11 @@
 
 use std::sync::Arc;
 
-use moldline_host::{Code, ComputePool, PoolLimits, Principal, Role, Tenant};
-use moldline_panel::{Flow, Inputs, Options, Outputs, PanelSetup, Reference, Scalars, TrailingEdges};
+use moldline_host::{Code, ComputePool, PoolLimits, Principal, Role, ServiceError, Tenant};
+use moldline_mesh::MeshError;
+use moldline_panel::{
+    Flow, Inputs, Options, Outputs, PanelError, PanelSetup, Reference, Scalars, TrailingEdges,
+};
 use moldline_panel_service::{AnalysisPoint, Definition, Geometry, Limits, PanelService};
 use moldline_testing::{Wing, eventually, sphere};
 
@@ -190,4 +193,26 @@ async fn invalid_vertices_have_their_class() {
     assert_eq!((nan.code, nan.violations[0].field.as_str()), (Code::InvalidArgument, "vertices[5][1]"));
     let flat = ask(&|vertices| vertices[17] = vertices[16]).await;
     assert_eq!(flat.code, Code::FailedPrecondition, "{flat}");
+}
+
+#[test]
+fn errors_of_the_panel_method_have_code_and_field() {
+    let answer = |error: PanelError| {
+        let text = error.to_string();
+        let answer = ServiceError::from(error);
+        assert!(answer.message.ends_with(&text));
+        (answer.code, answer.violations.first().map(|violation| violation.field.clone()))
+    };
+    let at = |code, field: &str| (code, Some(field.to_owned()));
+    let cuts = PanelError::WakeCutsBody { edge: [0, 1], cell: 5, x: 1.0 };
+    assert_eq!(answer(cuts), at(Code::FailedPrecondition, "vertices"));
+    let edge = PanelError::NotAnEdge { index: 2, edge: [0, 1] };
+    assert_eq!(answer(edge), at(Code::InvalidArgument, "options.trailing_edges[2]"));
+    let open = PanelError::Open { count: 1, edge: [0, 1], cell: 3 };
+    assert_eq!(answer(open), at(Code::InvalidArgument, "cells[3]"));
+    let groups = MeshError::DuplicateGroup { kind: "cell", group: "wing".to_owned() };
+    assert_eq!(answer(PanelError::Mesh(groups)), at(Code::InvalidArgument, "cell_groups"));
+    let memory = PanelError::Memory { unknowns: 10, needed: 800, limit: 100, advice: "use fewer cells" };
+    assert_eq!(answer(memory), (Code::ResourceExhausted, None));
+    assert_eq!(answer(PanelError::Cancelled), (Code::Cancelled, None));
 }
