@@ -210,7 +210,7 @@ fn announce(address: SocketAddr, options: &ListenOptions, access: &Access) -> Re
     if access.asks() {
         if !address.ip().is_loopback() && options.tls_cert.is_none() {
             tracing::warn!(
-                "tokens travel unencrypted: use --tls-cert and --tls-key, or a TLS proxy in front"
+                "tokens travel in the clear: use --tls-cert and --tls-key, or a TLS proxy in front"
             );
         }
     } else if address.ip().is_loopback() {
