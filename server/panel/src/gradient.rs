@@ -15,8 +15,9 @@ use nalgebra::Matrix3;
 
 use crate::{
     PanelError,
+    panels::Panels,
     surface::{Surface, SurfaceChange},
-    topology::{Panels, mirrored},
+    symmetry::mirrored,
     wake::Wakes,
 };
 
@@ -166,7 +167,7 @@ impl<'a> Gradients<'a> {
     }
 
     /// The gradient on a panel, in stretched coordinates.
-    pub fn eval(&self, panel: usize, mu: &[f64], circulation: &[f64]) -> Slope {
+    pub fn eval(&self, panel: usize, [mu, circulation]: [&[f64]; 2]) -> Slope {
         let n = &self.surface.normals[panel];
         let y = self.solved(panel, mu, circulation);
         let mut residuals = [0.0; 4];

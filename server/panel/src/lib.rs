@@ -14,36 +14,43 @@
 //!
 //! Absent on purpose: files, serialisation, clocks; viscosity, free wakes, supersonic flow.
 
+mod bounds;
+mod clusters;
+mod coefficients;
+mod distributions;
 mod error;
+mod flow;
 mod gradient;
 mod influence;
 mod kutta;
 mod lanes;
+mod linear_system;
 mod linearisation;
-mod lu;
-mod matrix;
 #[cfg(test)]
 #[path = "../tests/suite/meshes.rs"]
 #[allow(dead_code, clippy::unwrap_used, reason = "shared with the tests of the whole crate")]
 mod meshes;
 mod options;
+mod panel_setup;
+mod panels;
 mod pressure;
-mod setup;
+mod progress;
 mod solution;
 mod stage;
+mod state;
 mod surface;
-mod system;
-mod topology;
+mod symmetry;
 mod trefftz;
 mod wake;
 mod wake_force;
 mod wind;
 
+pub use coefficients::Scalars;
 pub use error::PanelError;
+pub use flow::{Flow, Reference};
 pub use linearisation::{Inputs, Linearisation, Outputs};
 pub use moldline_foundation::{Monitor, NoMonitor};
-pub use options::{Flow, Options, Reference, Solver, Symmetry, TrailingEdges};
-pub use setup::{PanelSetup, SetupSummary, memory_estimate};
+pub use options::{Options, Solver, Symmetry, TrailingEdges};
+pub use panel_setup::{PanelSetup, SetupSummary, memory_estimate};
 pub use solution::{Analysis, Loads, MAX_MACH, Section, Solution};
 pub use stage::Stage;
-pub use wind::Scalars;

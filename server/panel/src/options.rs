@@ -1,4 +1,4 @@
-//! What a user chooses once for a mesh.
+//! Options of a set-up, chosen once for a mesh.
 
 /// Choices of a set-up.
 #[derive(Clone, Debug, PartialEq)]
@@ -71,28 +71,4 @@ pub enum Solver {
     Single,
     /// GMRES, preconditioned with the exact factors of blocks of near panels.
     Iterative,
-}
-
-/// Wind, and what coefficients refer to.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Flow {
-    /// Angle of attack, rad.
-    pub alpha: f64,
-    /// Sideslip, rad: positive if the wind comes from starboard (+y).
-    pub sideslip: f64,
-    /// What coefficients refer to.
-    pub reference: Reference,
-}
-
-/// What coefficients refer to. Of the whole aircraft, also for a half model.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Reference {
-    /// Area, m^2.
-    pub area: f64,
-    /// Chord of the pitching moment, m.
-    pub chord: f64,
-    /// Span of rolling and yawing moment, m.
-    pub span: f64,
-    /// Point about which moments are taken, m.
-    pub point: [f64; 3],
 }

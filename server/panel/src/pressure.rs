@@ -15,10 +15,10 @@
 use moldline_mesh::Vector3;
 
 use crate::{
+    coefficients::Totals,
     gradient::Slope,
+    panels::Panels,
     surface::{Surface, SurfaceChange},
-    topology::Panels,
-    wind::Totals,
 };
 
 /// What the square of the velocity's change towards an edge adds to the mean square.

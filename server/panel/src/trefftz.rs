@@ -15,7 +15,7 @@ use moldline_foundation::quadrature::GAUSS_4;
 use moldline_mesh::Vector3;
 
 use crate::{
-    topology::Panels,
+    panels::Panels,
     wake::{Beside, Wakes},
 };
 
@@ -266,35 +266,30 @@ impl Trace {
         }
     }
 
-    /// The changes of the drag's form in several directions.
+    /// The change of [`drag`](Self::drag): every entry by its gradient, of which there are few.
     pub fn drag_jvp<const B: usize>(
         &self,
         points: &[Vector3],
         circulations: &[Vec<f64>; B],
-        changes: &[(&[Vector3], &[Vec<f64>; B])],
-    ) -> Vec<[[f64; B]; B]> {
-        // Every entry by its transpose: there are few entries, and many directions.
-        let mut out = vec![[[0.0; B]; B]; changes.len()];
-        for k in 0..B {
-            for l in 0..B {
-                let mut seed = [[0.0; B]; B];
-                seed[k][l] = 1.0;
-                let mut point_seeds = vec![Vector3::zeros(); points.len()];
-                let mut strip_seeds: [Vec<f64>; B] =
-                    std::array::from_fn(|k| vec![0.0; circulations[k].len()]);
-                self.drag_vjp(points, circulations, &seed, &mut point_seeds, &mut strip_seeds);
-                for (out, (d_points, d_circulations)) in out.iter_mut().zip(changes) {
-                    out[k][l] = point_seeds.iter().zip(*d_points).map(|(s, d)| s.dot(d)).sum::<f64>();
-                    for (seeds, change) in strip_seeds.iter().zip(*d_circulations) {
-                        out[k][l] += seeds.iter().zip(change).map(|(s, d)| s * d).sum::<f64>();
-                    }
-                }
+        d_points: &[Vector3],
+        d_circulations: &[Vec<f64>; B],
+    ) -> [[f64; B]; B] {
+        let entry = |k: usize, l: usize| {
+            let mut seed = [[0.0; B]; B];
+            seed[k][l] = 1.0;
+            let mut point_seeds = vec![Vector3::zeros(); points.len()];
+            let mut strip_seeds: [Vec<f64>; B] = std::array::from_fn(|k| vec![0.0; circulations[k].len()]);
+            self.drag_vjp(points, circulations, &seed, &mut point_seeds, &mut strip_seeds);
+            let mut sum = point_seeds.iter().zip(d_points).map(|(s, d)| s.dot(d)).sum::<f64>();
+            for (seeds, change) in strip_seeds.iter().zip(d_circulations) {
+                sum += seeds.iter().zip(change).map(|(s, d)| s * d).sum::<f64>();
             }
-        }
-        out
+            sum
+        };
+        std::array::from_fn(|k| std::array::from_fn(|l| entry(k, l)))
     }
 
-    /// The transpose: adds to the seeds of points and circulations.
+    /// The transpose of [`drag_jvp`](Self::drag_jvp): adds to the seeds of points and circulations.
     pub fn drag_vjp<const B: usize>(
         &self,
         points: &[Vector3],

@@ -22,7 +22,7 @@ use std::{collections::BTreeMap, f64::consts::PI};
 use moldline_mesh::Vector3;
 use rayon::prelude::*;
 
-use crate::{surface::Surface, topology::Panels, wake::Wakes};
+use crate::{panels::Panels, surface::Surface, wake::Wakes};
 
 /// Pieces are halved until they are smaller than this part of their distance from the vortex ...
 const NEAR: f64 = 0.5;
@@ -155,10 +155,8 @@ fn over_panel(corners: &[Vector3; 4], depth: u32, f: &impl Fn(&Vector3) -> f64) 
 mod tests {
     use super::*;
     use crate::{
-        NoMonitor, Options, PanelSetup, Solution, Symmetry, TrailingEdges,
-        influence::Influence,
-        meshes::Wing,
-        solution::{AnyState, State},
+        NoMonitor, Options, PanelSetup, Solution, Symmetry, TrailingEdges, influence::Influence,
+        meshes::Wing, solution::AnyState, state::State,
     };
 
     /// The upward force by the velocity along the vortices, summed downstream.
