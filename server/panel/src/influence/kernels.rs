@@ -220,3 +220,271 @@ pub(super) fn wake_solid_angle([a, b, c, d]: &[Vector; 4]) -> f64 {
 fn triangle(a: &Vector, b: &Vector, c: &Vector, [ra, rb, rc]: [f64; 3]) -> [f64; 2] {
     [ra * rb * rc + dot(a, b) * rc + dot(a, c) * rb + dot(b, c) * ra, dot(a, &cross(b, c))]
 }
+
+/// Against the textbook's formulas in dual numbers, one arc tangent a triangle, at points far away and near, in the plane of the panel
+/// and on the line of an edge.
+#[cfg(test)]
+mod tests {
+    use num_dual::{Dual64, DualNum};
+
+    use super::*;
+
+    type D = [Dual64; 3];
+
+    fn difference(p: &D, q: &D) -> D {
+        [p[0] - q[0], p[1] - q[1], p[2] - q[2]]
+    }
+
+    fn dual_dot(p: &D, q: &D) -> Dual64 {
+        p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
+    }
+
+    fn dual_cross(p: &D, q: &D) -> D {
+        [p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]]
+    }
+
+    fn dual_norm(p: &D) -> Dual64 {
+        dual_dot(p, p).sqrt()
+    }
+
+    /// `integral ds / r`
+    fn textbook_logarithm(a: &D, b: &D) -> Dual64 {
+        let sum = dual_norm(a) + dual_norm(b);
+        let length = dual_norm(&difference(b, a));
+        (length * 2.0 / (sum - length)).ln_1p()
+    }
+
+    fn textbook_triangle(a: &D, b: &D, c: &D) -> Dual64 {
+        let [ra, rb, rc] = [a, b, c].map(dual_norm);
+        let denominator = ra * rb * rc + dual_dot(a, b) * rc + dual_dot(a, c) * rb + dual_dot(b, c) * ra;
+        // a.(b x c) as it keeps its digits far away.
+        let volume = dual_dot(a, &dual_cross(&difference(b, a), &difference(c, a)));
+        volume.atan2(denominator) * 2.0
+    }
+
+    fn textbook_quadrilateral([a, b, c, d]: &[D; 4]) -> Dual64 {
+        textbook_triangle(a, b, c) + textbook_triangle(a, c, d)
+    }
+
+    /// The triangle of p, q and a corner at infinity along x.
+    fn textbook_strip(p: &D, q: &D) -> Dual64 {
+        let x = [1.0, 0.0, 0.0].map(Dual64::from_re);
+        let (rp, rq) = (dual_norm(p), dual_norm(q));
+        let denominator = rp * rq + dual_dot(p, q) + p[0] * rq + q[0] * rp;
+        dual_dot(p, &dual_cross(q, &x)).atan2(denominator) * 2.0
+    }
+
+    fn way(x: &Vector, p: &Vector) -> Vector {
+        [x[0] - p[0], x[1] - p[1], x[2] - p[2]]
+    }
+
+    /// The gradient of a function of `N` positions, and its value.
+    fn differentiate<const N: usize>(
+        positions: &[Vector; N],
+        f: impl Fn(&[D; N]) -> Dual64,
+    ) -> (f64, [Vector; N]) {
+        let at = |position: usize, axis: usize| {
+            f(&std::array::from_fn(|i| {
+                std::array::from_fn(|k| {
+                    let seed = if (i, k) == (position, axis) { 1.0 } else { 0.0 };
+                    Dual64::new(positions[i][k], seed)
+                })
+            }))
+        };
+        let gradient = std::array::from_fn(|i| std::array::from_fn(|k| at(i, k).eps));
+        (at(0, 0).re, gradient)
+    }
+
+    fn assert_close<const N: usize>(case: &str, found: &[Vector; N], expected: &[Vector; N], tolerance: f64) {
+        let size = expected.as_flattened().iter().fold(0.0_f64, |m, x| m.max(x.abs()));
+        for (found, expected) in found.as_flattened().iter().zip(expected.as_flattened()) {
+            assert!((found - expected).abs() <= tolerance * size, "{case}: {found} {expected}");
+        }
+    }
+
+    /// A warped quadrilateral.
+    const WARPED: [Vector; 4] = [[0.0, 0.0, 0.0], [1.0, 0.1, 0.1], [1.1, 0.9, -0.05], [-0.1, 1.0, 0.1]];
+    /// A plane one, in z = 0.
+    const PLANE: [Vector; 4] = [[0.0, 0.0, 0.0], [1.0, 0.1, 0.0], [1.1, 0.9, 0.0], [-0.1, 1.0, 0.0]];
+
+    /// Points, and a factor on rounding for what is lost there: far away differences of positions, near the panel the angle's numbers, near an
+    /// edge `|a| + |b| - L`.
+    fn points() -> Vec<(&'static str, Vector, f64)> {
+        vec![
+            ("very far", [4e3, -3e3, 1e3], 1e4),
+            ("far", [-7.0, 5.0, -9.0], 1.0),
+            ("beside", [0.4, -0.8, 0.7], 1.0),
+            ("beneath", [0.5, 0.5, -0.6], 1.0),
+            ("near", [0.4, 0.5, 0.08], 1e2),
+            ("very near", [0.4, 0.5, -1e-5], 1e7),
+            ("in the plane, outside", [1.9, 0.7, 0.0], 1.0),
+            ("near an edge", [0.5, 0.05, 1e-3], 1e7),
+            ("on the line of the edge ab", [-0.6, -0.06, 0.0], 1.0),
+            ("far on the line of the edge ab", [-60.0, -6.0, 0.0], 1e2),
+        ]
+    }
+
+    fn edge_derivative(a: &Vector, b: &Vector, p: &Vector) -> EdgeDerivative {
+        let edge = way(b, a);
+        let length = norm(&edge);
+        let along = edge.map(|x| x / length);
+        let (from_a, from_b) = (way(a, p), way(b, p));
+        let radii = [norm(&from_a), norm(&from_b)];
+        EdgeDerivative::new(from_a, &along, length, radii, radii.map(|r| 1.0 / r))
+    }
+
+    #[test]
+    fn logarithm_of_an_edge() {
+        let t = [0.3, -0.8, 0.5];
+        for corners in [WARPED, PLANE] {
+            for (case, p, factor) in points() {
+                for i in 0..4 {
+                    let (a, b) = (corners[i], corners[(i + 1) % 4]);
+                    let potential = |[a, b, p]: &[D; 3]| {
+                        let (a, b) = (difference(a, p), difference(b, p));
+                        -textbook_logarithm(&a, &b) * dual_dot(&a, &t.map(Dual64::from_re))
+                    };
+                    let (value, expected) = differentiate(&[a, b, p], potential);
+                    let radii = [&a, &b].map(|x| norm(&way(x, &p)));
+                    let q = edge_logarithm(radii, norm(&way(&b, &a)));
+                    let scale = (q * norm(&way(&a, &p))).abs();
+                    assert!((-q * dot(&t, &way(&a, &p)) - value).abs() <= 1e-15 * factor * scale, "{case}");
+                    let derivative = edge_derivative(&a, &b, &p);
+                    let [by_a, by_b] = derivative.by_ends(0.0, &t);
+                    let by_p = [0, 1, 2].map(|k| -by_a[k] - by_b[k]);
+                    // Near the line of an edge, all that matters is in both ends together.
+                    assert_close(case, &[by_a, by_b, by_p], &expected, 1e-13 * factor);
+                    let by_t = derivative.logarithm_times_a();
+                    assert_close(case, &[by_t], &[way(&a, &p).map(|x| q * x)], 1e-15);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn solid_angle_of_a_quadrilateral() {
+        for (name, corners) in [("warped", WARPED), ("plane", PLANE)] {
+            for (case, p, factor) in points() {
+                let case = &format!("{name}, {case}");
+                let [a, b, c, d] = corners;
+                let angle = |[a, b, c, d, p]: &[D; 5]| {
+                    textbook_quadrilateral(&[a, b, c, d].map(|x| difference(x, p)))
+                };
+                let (value, expected) = differentiate(&[a, b, c, d, p], angle);
+
+                let ways = corners.map(|x| way(&x, &p));
+                let radii = ways.map(|x| norm(&x));
+                let points = corners.map(Vector3::from);
+                let area = (points[2] - points[0]).cross(&(points[3] - points[1]));
+                let normal = (area / area.norm()).into();
+                // Far away, only the first keeps all digits of a small angle.
+                for (found, least) in [
+                    (
+                        solid_angle(&ways[0], radii, &Shape::new(points)),
+                        1e-15 * factor * value.abs().min(1.0),
+                    ),
+                    (solid_angle_near(&ways, radii, &normal), 1e-15),
+                    (wake_solid_angle(&ways), 1e-15),
+                ] {
+                    let tolerance = least + 1e-14 * factor * value.abs();
+                    // A border gives its solid angle up to 4 pi.
+                    let error = (found - value) * BY_4_PI;
+                    assert!((error - error.round()).abs() <= tolerance, "{case}: {found} {value}");
+                }
+
+                let mut found = [[0.0; 3]; 5];
+                for i in 0..4 {
+                    let j = (i + 1) % 4;
+                    let ends = edge_derivative(&corners[i], &corners[j], &p).by_ends(1.0, &[0.0; 3]);
+                    for k in 0..3 {
+                        found[i][k] += ends[0][k];
+                        found[j][k] += ends[1][k];
+                        found[4][k] -= ends[0][k] + ends[1][k];
+                    }
+                }
+                assert_close(case, &found, &expected, 1e-13 * factor);
+            }
+        }
+    }
+
+    /// A square seen from a point on its axis: `Omega = 4 atan(s^2 / (h sqrt(2 s^2 + h^2)))` for the half side s and the height h.
+    #[test]
+    fn solid_angle_of_a_square() {
+        let corners = [[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]];
+        for h in [1e-12, 1e-8, 1e-4, 0.01, 0.1, 0.5, 1.0, 10.0, 1e3] {
+            let exact = 4.0 * (1.0 / (h * f64::sqrt(2.0 + h * h))).atan();
+            for side in [1.0, -1.0] {
+                let ways = corners.map(|x| way(&x, &[0.0, 0.0, -side * h]));
+                let radii = ways.map(|x| norm(&x));
+                let near = solid_angle_near(&ways, radii, &[0.0, 0.0, 1.0]);
+                assert!((side * near / exact - 1.0).abs() < 2e-15 * h.max(1.0).powi(2), "near, {h}: {near}");
+                if h >= 0.5 {
+                    let far = solid_angle(&ways[0], radii, &Shape::new(corners.map(Vector3::from)));
+                    assert!((side * far / exact - 1.0).abs() < 2e-15 * h.max(1.0), "far, {h}: {far}");
+                }
+            }
+        }
+    }
+
+    /// From inside: 2 pi for a plane panel, and what is seen from nearer and nearer to it for a warped one.
+    #[test]
+    fn solid_angle_from_the_own_centre() {
+        for corners in [WARPED, PLANE] {
+            let points = corners.map(Vector3::from);
+            let centre: Vector3 = points.iter().sum::<Vector3>() / 4.0;
+            let area = (points[2] - points[0]).cross(&(points[3] - points[1]));
+            let normal = area / area.norm();
+            let own = own_solid_angle(points, &centre, &normal);
+            let p = (centre - 1e-9 * normal).into();
+            let ways = corners.map(|x| way(&x, &p));
+            let near = solid_angle_near(&ways, ways.map(|x| norm(&x)), &normal.into());
+            assert!((own - near).abs() < 1e-7, "{own} {near}");
+            if corners == PLANE {
+                assert!((own - 2.0 * std::f64::consts::PI).abs() < 1e-14, "{own}");
+            }
+        }
+    }
+
+    #[test]
+    fn solid_angle_of_a_strip_to_infinity() {
+        let (a, b) = ([0.2, 0.1, 0.3], [0.5, 1.1, 0.2]);
+        for (case, p, factor) in [
+            ("far", [-30.0, 20.0, 25.0], 1.0),
+            ("beside", [0.1, -0.7, 0.4], 1.0),
+            ("upstream", [-3.0, 0.6, 0.2], 1.0),
+            ("upstream, on the line of a border", [-2.0, 0.1, 0.3], 1.0),
+            ("under the strip", [3.0, 0.7, 0.1], 1.0),
+            ("near the strip", [3.0, 0.7, 0.2401], 1e4),
+            ("near a border", [5.0, 0.1, 0.2999], 1e9),
+        ] {
+            let angle = |[a, b, p]: &[D; 3]| textbook_strip(&difference(a, p), &difference(b, p));
+            let (value, expected) = differentiate(&[a, b, p], angle);
+            let found = strip_solid_angle(&way(&a, &p), &way(&b, &p));
+            assert!((found - value).abs() <= 1e-15 * factor * (1.0 + value.abs()), "{case}: {found} {value}");
+
+            // The border runs from a to b, from there downstream, and comes back along a.
+            let [mut by_a, mut by_b] = edge_derivative(&a, &b, &p).by_ends(1.0, &[0.0; 3]);
+            let [out, back] = [&b, &a].map(|x| ray_derivative(&way(x, &p)));
+            for k in 0..2 {
+                by_b[1 + k] += out[k];
+                by_a[1 + k] -= back[k];
+            }
+            let by_p = [0, 1, 2].map(|k| -by_a[k] - by_b[k]);
+            assert_close(case, &[by_a, by_b, by_p], &expected, 1e-13 * factor);
+        }
+        // A long quadrilateral is nearly a strip.
+        let p = [0.1, -0.7, 0.4];
+        let far = |x: &Vector| way(&[x[0] + 1e6, x[1], x[2]], &p);
+        let quadrilateral = wake_solid_angle(&[way(&a, &p), way(&b, &p), far(&b), far(&a)]);
+        assert!((strip_solid_angle(&way(&a, &p), &way(&b, &p)) - quadrilateral).abs() < 1e-9);
+    }
+
+    /// On an edge or a border, nothing is finite: the assembly reports it.
+    #[test]
+    fn nothing_is_finite_on_an_edge() {
+        let [a, b, ..] = PLANE;
+        let p = [0, 1, 2].map(|k| 0.5 * (a[k] + b[k]));
+        assert!(!edge_logarithm([&a, &b].map(|x| norm(&way(x, &p))), norm(&way(&b, &a))).is_finite());
+        assert!(ray_derivative(&[-2.0, 0.0, 0.0]).iter().all(|g| !g.is_finite()));
+    }
+}
