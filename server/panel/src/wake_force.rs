@@ -19,6 +19,7 @@
 
 use std::{collections::BTreeMap, f64::consts::PI};
 
+use moldline_foundation::quadrature::GAUSS_2;
 use moldline_mesh::Vector3;
 use rayon::prelude::*;
 
@@ -31,8 +32,8 @@ const DEPTH: u32 = 10;
 /// Where vortices begin, downstream of the trailing edge, as a part of a strip's width. At the trailing edge itself the velocity of single edges
 /// has no bound, and that of all together has none on a mesh, where strengths have steps.
 const START: f64 = 0.05;
-/// The nodes of the rule with two of them, on 0..1.
-const NODES: [f64; 2] = [0.211_324_865_405_187_1, 0.788_675_134_594_812_9];
+/// The nodes of the rule with two of them, on 0..1; both weights are 1/2.
+const NODES: [f64; 2] = [0.5 * (1.0 + GAUSS_2[0].0), 0.5 * (1.0 + GAUSS_2[1].0)];
 
 /// Upward force on the wakes by the body, by dynamic pressure, m^2, as a form in the onset flow: both halves, in real coordinates.
 /// `doublets` and `circulations` are those of the unit onset flows.
