@@ -50,7 +50,7 @@ pub struct Inputs {
     pub point: [f64; 3],
 }
 
-/// An analysis with its derivative. Applying it solves with the solution's factors.
+/// The derivative of an analysis. Products solve with the solution's factors.
 #[derive(Clone, Debug)]
 pub struct Linearisation {
     solution: Arc<Solution>,
@@ -69,12 +69,12 @@ impl Solution {
 }
 
 impl Linearisation {
-    /// The solution it belongs to.
+    /// The solution that is differentiated.
     pub fn solution(&self) -> &Arc<Solution> {
         &self.solution
     }
 
-    /// The flow it belongs to.
+    /// The flow at which it is differentiated.
     pub fn flow(&self) -> &Flow {
         &self.flow
     }

@@ -3,7 +3,7 @@
 /// Choices of a set-up.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {
-    /// Whether one half is solved for both.
+    /// Whether one half is solved for both halves.
     pub symmetry: Symmetry,
     /// Where wakes leave the surface.
     pub trailing_edges: TrailingEdges,
@@ -13,7 +13,7 @@ pub struct Options {
     pub solver: Solver,
     /// Residual of the solution, relative to the right-hand side.
     pub tolerance: f64,
-    /// Bytes that a solution may take.
+    /// Limit on the memory of a solution, bytes.
     pub memory_limit: u64,
 }
 
@@ -30,7 +30,7 @@ impl Default for Options {
     }
 }
 
-/// The plane y = 0.
+/// Use of the plane of symmetry y = 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Symmetry {
     /// [`Half`](Self::Half) if the mesh is open on y = 0 only, [`Mirror`](Self::Mirror) if it is its own mirror image, else

@@ -1,4 +1,4 @@
-//! A mesh made ready: everything that is decided once and holds for all positions of its vertices.
+//! The set-up of a mesh: all decisions that hold for any positions of its vertices.
 
 use moldline_mesh::SurfaceMesh;
 
@@ -29,11 +29,11 @@ pub struct PanelSetup {
     pub(crate) trace: Trace,
     pub(crate) components: Vec<Component>,
     pub(crate) options: Options,
-    /// Cells of each mesh vertex, apart on both sides of a trailing edge only in what they are averaged for.
+    /// Cells at each mesh vertex, over which its pressure is averaged.
     pub(crate) vertex_cells: moldline_mesh::Csr,
 }
 
-/// What a set-up has found.
+/// The decisions of a set-up.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SetupSummary {
     /// Number of unknowns.
@@ -76,7 +76,7 @@ impl PanelSetup {
         Ok(setup)
     }
 
-    /// What was found.
+    /// The decisions of the set-up.
     pub fn summary(&self) -> SetupSummary {
         let vertex = |point: u32| self.panels.vertex_of[point as usize];
         let roots = self.wakes.strips.iter().flat_map(|s| {
@@ -104,7 +104,7 @@ fn memory(unknowns: usize, points: usize, solver: Solver) -> u64 {
     solver.bytes(unknowns) + 8 * (unknowns as u64 * 600 + points as u64 * 200)
 }
 
-/// Bytes that a solution of so many unknowns needs at its peak, about.
+/// An estimate of the bytes that a solution of so many unknowns needs at its peak.
 pub fn memory_estimate(unknowns: usize, solver: Solver) -> u64 {
     memory(unknowns, unknowns, solver)
 }

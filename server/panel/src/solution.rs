@@ -1,4 +1,4 @@
-//! The flow over one geometry, and what it says at an angle of attack.
+//! The flow over one geometry, and its analysis at an angle of attack.
 
 use std::sync::Arc;
 
@@ -33,7 +33,7 @@ pub struct Solution {
     pub(crate) state: AnyState,
 }
 
-/// The load of a strip of the wake: of the section of the wing before it.
+/// The load of a strip of the wake, which is that of the section of the wing ahead of it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Section {
     /// The trailing edge, as mesh vertices.
@@ -51,9 +51,10 @@ pub struct Section {
 pub struct Loads {
     /// Name of the component.
     pub name: String,
-    /// Force along the mesh's axes, by dynamic pressure and reference area.
+    /// Force along the mesh's axes, over dynamic pressure times reference area.
     pub force: [f64; 3],
-    /// Moment about the axes x, y, z through the reference point, by span, chord and span; y is nose up.
+    /// Moments about the axes x, y, z through the reference point, over dynamic pressure times reference area times span, chord and span; y is
+    /// nose up.
     pub moment: [f64; 3],
     /// Lift coefficient.
     pub lift: f64,
@@ -61,7 +62,7 @@ pub struct Loads {
     pub drag: f64,
 }
 
-/// What the flow does at one angle of attack.
+/// The flow at one angle of attack.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Analysis {
     /// Coefficients of the whole, with slopes.
@@ -134,7 +135,7 @@ impl Solution {
         Ok(Self { setup, mach, vertices: vertices.to_vec(), state })
     }
 
-    /// The set-up it was made with.
+    /// The set-up of the mesh.
     pub fn setup(&self) -> &Arc<PanelSetup> {
         &self.setup
     }
@@ -144,12 +145,12 @@ impl Solution {
         self.mach
     }
 
-    /// The vertices.
+    /// The positions of the mesh's vertices, m.
     pub fn vertices(&self) -> &[[f64; 3]] {
         &self.vertices
     }
 
-    /// Bytes held, for budgets.
+    /// Memory of the solution, bytes.
     pub fn bytes(&self) -> u64 {
         self.setup.options.solver.bytes(self.setup.panels.len())
             + 8 * 100 * self.setup.panels.len() as u64

@@ -1,14 +1,14 @@
 //! The pass over all pairs that both products share: how `4 pi R` changes with the edges and panels of a patch, at the points of a tile.
 //!
 //! The derivative is linear in directions and in seeds, so a pair's geometry is evaluated once for all of them, and once for both images:
-//! what a direction or a seed adds are a few products with an [`EdgeGradient`] and a [`SourceGradient`]. The derivative with respect to the
+//! each direction or seed adds a few products with an [`EdgeGradient`] and a [`SourceGradient`]. The derivative with respect to the
 //! collocation point itself, [`Slopes`], does not depend on either.
 //!
 //! By edges, with `s` of both panels in T and in the strength of the edge as a vortex filament:
 //!
 //! ```text
 //! 4 pi dR = sum_e strength_e dOmega_e - d(Q_e T_e.(a_e - P)) + sum_j Omega_j d(s_j.(c_j - P))
-//! strength_e(P) = sum over left minus right panel (s.(c - P) - mu), less the circulation of wakes that end on the edge
+//! strength_e(P) = left minus right panel's (s.(c - P) - mu), less the circulation of wakes that begin on the edge
 //! ```
 
 use super::{
@@ -197,7 +197,7 @@ pub(super) fn each_pair<const B: usize>(
 
 impl<const B: usize> Influence<'_, B> {
     /// The y and z components of the gradient with respect to a ray's point, of unit strength and both images; adds to the slopes of the
-    /// points what the ray's strength makes of it.
+    /// points.
     #[inline(always)]
     pub(super) fn ray_gradient(
         &self,

@@ -17,7 +17,7 @@ use crate::{
     progress::Progress,
 };
 
-/// A change of what the residual depends on, in one direction.
+/// A change of the residual's arguments in one direction.
 pub(crate) struct PairChange<'a, const B: usize> {
     pub points: &'a [Vector3],
     pub centres: &'a [Vector3],

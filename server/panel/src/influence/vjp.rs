@@ -21,7 +21,7 @@ const PARTS: usize = 16;
 /// Numbers in which the lanes of one product are summed.
 const QUARTER: usize = LANES / 4;
 
-/// The gradient of one seed of `R` with respect to what `R` depends on.
+/// The gradient of one seed of `R` with respect to the arguments of `R`.
 #[derive(Clone)]
 pub(crate) struct PairSeeds<const B: usize> {
     pub points: Vec<Vector3>,

@@ -1,6 +1,6 @@
-//! The linear system `A mu = b`, its transpose, and what solves them.
+//! The linear system `A mu = b`, its transpose, and their solvers.
 //!
-//! [`operator`] has what the solvers need of A: products, and blocks of entries. [`matrix`] is the dense one. [`lu`] and [`block_jacobi`] are
+//! [`operator`] has the solvers' view of A: products, and blocks of entries. [`matrix`] is the dense one. [`lu`] and [`block_jacobi`] are
 //! inverses, exact and approximate; [`refinement`] and [`gmres`] bring their solutions to one tolerance. [`system`] picks among them.
 
 mod block_jacobi;
