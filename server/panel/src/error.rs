@@ -1,10 +1,10 @@
-//! Why a set-up is refused or a solution fails: what, where, and what to do.
+//! Errors of set-ups and solutions: what is wrong, where, and the way out.
 
 use moldline_foundation::{Class, Failure};
 use moldline_mesh::MeshError;
 use thiserror::Error;
 
-/// Why the panel method refuses its input, or stops.
+/// An error of the panel method.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum PanelError {
     /// The mesh itself is not valid.
@@ -193,10 +193,10 @@ pub enum PanelError {
         residual: f64,
         /// Rounds made.
         rounds: usize,
-        /// Tolerance asked for.
+        /// The tolerance.
         tolerance: f64,
     },
-    /// The caller asked to stop.
+    /// The monitor has cancelled the computation.
     #[error("cancelled")]
     Cancelled,
 }

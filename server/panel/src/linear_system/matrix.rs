@@ -1,10 +1,11 @@
-//! The dense matrix, stored as it is made: tiles of rows, and within a tile column after column.
+//! The dense matrix, stored as it is assembled: tiles of rows, and within a tile column after column.
 
 use faer::{Mat, traits::RealField};
 use moldline_foundation::simd::widest;
 use rayon::prelude::*;
 
-use crate::lanes::{LANES, Lane};
+use super::operator::Operator;
+use crate::lanes::{LANES, Lane, total};
 
 /// Columns that one task handles.
 const COLUMNS: usize = 32;
@@ -27,16 +28,12 @@ impl Matrix {
         (size.div_ceil(LANES) * LANES) as u64 * size as u64 * 8
     }
 
-    pub fn size(&self) -> usize {
-        self.size
-    }
-
     /// The tiles of [`LANES`] rows each, to be filled in parallel.
     pub fn tiles_mut(&mut self) -> rayon::slice::ChunksMut<'_, Lane> {
         self.lanes.par_chunks_mut(self.size.max(1))
     }
 
-    pub fn get(&self, row: usize, column: usize) -> f64 {
+    fn get(&self, row: usize, column: usize) -> f64 {
         self.lanes[row / LANES * self.size + column][row % LANES]
     }
 
@@ -66,7 +63,7 @@ impl Matrix {
     }
 
     /// `A^T x` for several x.
-    pub fn transposed_times(&self, columns: &[Vec<f64>]) -> Vec<Vec<f64>> {
+    fn transposed_times(&self, columns: &[Vec<f64>]) -> Vec<Vec<f64>> {
         let padded: Vec<Vec<f64>> = columns
             .iter()
             .map(|x| {
@@ -91,7 +88,7 @@ impl Matrix {
                         }
                     },
                 );
-                sums.iter().map(|sums| sums.each_ref().map(crate::lanes::total)).collect()
+                sums.iter().map(|sums| sums.each_ref().map(total)).collect()
             })
             .collect();
         let column = |c: usize| chunks.iter().flat_map(|chunk| chunk[c]).take(self.size).collect();
@@ -113,6 +110,20 @@ impl Matrix {
             }
         });
         dense
+    }
+}
+
+impl Operator for Matrix {
+    fn size(&self) -> usize {
+        self.size
+    }
+
+    fn times(&self, columns: &[Vec<f64>], transposed: bool) -> Vec<Vec<f64>> {
+        if transposed { self.transposed_times(columns) } else { Self::times(self, columns) }
+    }
+
+    fn block(&self, members: &[u32]) -> Mat<f64> {
+        Mat::from_fn(members.len(), members.len(), |i, j| self.get(members[i] as usize, members[j] as usize))
     }
 }
 

@@ -1,15 +1,12 @@
-//! What does not depend on positions: solved panels, their edges and neighbours, and the symmetry plane.
+//! The panels that are solved: their points, edges and neighbours, as far as they do not depend on positions.
 
-use std::collections::HashMap;
+use moldline_mesh::{Cell, Limits, Plane, SurfaceMesh, Topology, Vector3, topology::enclosed_volume};
 
-use moldline_mesh::{
-    Cell, Limits, Plane, SurfaceMesh, Topology, Vector3, symmetry::pair_vertices, topology::enclosed_volume,
+use crate::{
+    PanelError, Symmetry,
+    clusters::Patch,
+    symmetry::{Partners, SYMMETRY_TOLERANCE, mirrored},
 };
-
-use crate::{PanelError, Symmetry};
-
-/// Distance from the plane y = 0, and between a vertex and its partner's image, as a fraction of the mesh's extent.
-pub(crate) const SYMMETRY_TOLERANCE: f64 = 1e-5;
 
 /// An edge of solved panels.
 #[derive(Clone, Copy, Debug)]
@@ -24,24 +21,7 @@ pub(crate) struct Edge {
     pub right: Option<u32>,
 }
 
-/// Panels of a patch at most.
-const PATCH: usize = 32;
-
-/// Panels that lie near each other, and the edges of which they are the left ones: all patches together are the surface. Loops over pairs
-/// go patch by patch, so that what they need of the points stays near.
-#[derive(Clone, Debug)]
-pub(crate) struct Patch {
-    /// Points of the panels.
-    pub points: Vec<u32>,
-    pub panels: Vec<u32>,
-    /// Corners of the panels, as places in `points`.
-    pub corners: Vec<[u32; 4]>,
-    pub edges: Vec<u32>,
-    /// Ends `[a, b]` of the edges, likewise.
-    pub ends: Vec<[u32; 2]>,
-}
-
-/// Panels that are solved, with their own numbering of vertices ("points").
+/// The solved panels, with their own numbering of vertices ("points").
 #[derive(Clone, Debug)]
 pub(crate) struct Panels {
     /// Points of each panel; a triangle's last one twice.
@@ -101,8 +81,8 @@ impl Panels {
             return Err(PanelError::NotSymmetric(text));
         }
         let mirror = match symmetry {
-            Symmetry::Mirror => Some(mirrored_cells(mesh, &plane, tolerance)?),
-            Symmetry::Automatic if !half => mirrored_cells(mesh, &plane, tolerance).ok(),
+            Symmetry::Mirror => Some(Partners::new(mesh, tolerance)?),
+            Symmetry::Automatic if !half => Partners::new(mesh, tolerance).ok(),
             _ => None,
         };
         let panels = Self::pick(mesh, half, mirror, tolerance);
@@ -110,32 +90,15 @@ impl Panels {
         Ok(panels)
     }
 
-    fn pick(mesh: &SurfaceMesh, half: bool, mirror: Option<(Vec<u32>, Vec<u32>)>, tolerance: f64) -> Self {
+    fn pick(mesh: &SurfaceMesh, half: bool, mirror: Option<Partners>, tolerance: f64) -> Self {
         let symmetric = half || mirror.is_some();
-        let (vertex_partner, cell_partner) = mirror.unzip();
-        let starboard =
-            |cell: &Cell| cell.vertices().iter().map(|v| mesh.vertices[*v as usize][1]).sum::<f64>() > 0.0;
-        let cell_of: Vec<u32> = (0..mesh.cells.len() as u32)
-            .filter(|&cell| cell_partner.is_none() || starboard(&mesh.cells[cell as usize]))
-            .collect();
-        let mut panel_of = vec![(0, false); mesh.cells.len()];
-        for (panel, &cell) in cell_of.iter().enumerate() {
-            panel_of[cell as usize] = (panel as u32, false);
-            if let Some(partner) = &cell_partner {
-                panel_of[partner[cell as usize] as usize] = (panel as u32, true);
-            }
-        }
-        const UNUSED: u32 = u32::MAX;
-        let mut point_of = vec![UNUSED; mesh.vertices.len()];
+        let (cell_of, panel_of) = solved_cells(mesh, mirror.as_ref());
         let mut vertex_of: Vec<u32> =
             cell_of.iter().flat_map(|&c| mesh.cells[c as usize].vertices().iter().copied()).collect();
         vertex_of.sort_unstable();
         vertex_of.dedup();
-        for (point, &vertex) in vertex_of.iter().enumerate() {
-            point_of[vertex as usize] = point as u32;
-        }
-        let cells: Vec<Cell> =
-            cell_of.iter().map(|&c| mesh.cells[c as usize].map(|v| point_of[v as usize])).collect();
+        let point_of = |vertex: u32| vertex_of.partition_point(|v| *v < vertex) as u32;
+        let cells: Vec<Cell> = cell_of.iter().map(|&c| mesh.cells[c as usize].map(point_of)).collect();
         let corners: Vec<[u32; 4]> = cells
             .iter()
             .map(|cell| {
@@ -144,22 +107,29 @@ impl Panels {
             })
             .collect();
         let topology = Topology::of_cells(vertex_of.len(), &cells);
-        let mut edges = Vec::with_capacity(topology.edges.len());
+        let edges = oriented_edges(&topology, &cells);
         let mut panel_edges = vec![Vec::new(); cells.len()];
         let mut point_edges = vec![Vec::new(); vertex_of.len()];
-        for (index, (&[a, b], around)) in topology.edges.iter().zip(topology.edge_cells.rows()).enumerate() {
-            let runs = |cell: u32, side: [u32; 2]| cells[cell as usize].edges().any(|s| s == side);
-            let first = around[0];
-            let [a, b] = if runs(first, [a, b]) { [a, b] } else { [b, a] };
-            edges.push(Edge { a, b, left: first, right: around.get(1).copied() });
-            around.iter().for_each(|&panel| panel_edges[panel as usize].push(index as u32));
-            [a, b].iter().for_each(|&point| point_edges[point as usize].push(index as u32));
+        for (index, edge) in (0..).zip(&edges) {
+            [Some(edge.left), edge.right].iter().flatten().for_each(|&p| panel_edges[p as usize].push(index));
+            [edge.a, edge.b].iter().for_each(|&point| point_edges[point as usize].push(index));
         }
         let on_plane =
             vertex_of.iter().map(|&v| symmetric && mesh.vertices[v as usize][1].abs() <= tolerance).collect();
         let partner =
-            vertex_partner.map(|partner: Vec<u32>| vertex_of.iter().map(|&v| partner[v as usize]).collect());
-        let patches = patches(mesh, &corners, &edges, &panel_edges, &vertex_of);
+            mirror.map(|partners| vertex_of.iter().map(|&v| partners.vertices[v as usize]).collect());
+        let patches = {
+            let at = |point: u32| Vector3::from(mesh.vertices[vertex_of[point as usize] as usize]);
+            let centres: Vec<Vector3> =
+                corners.iter().map(|c| c.map(at).iter().sum::<Vector3>() / 4.0).collect();
+            let own: Vec<Vec<u32>> = (0..)
+                .zip(&panel_edges)
+                .map(|(panel, of_panel): (u32, &Vec<u32>)| {
+                    of_panel.iter().copied().filter(|e| edges[*e as usize].left == panel).collect()
+                })
+                .collect();
+            Patch::cut(&centres, &corners, &own, |e| [edges[e as usize].a, edges[e as usize].b])
+        };
         Self {
             corners,
             edges,
@@ -177,7 +147,7 @@ impl Panels {
         }
     }
 
-    /// Every closed piece encloses a positive volume.
+    /// Checks that every closed piece encloses a positive volume.
     fn check_orientation(&self, mesh: &SurfaceMesh) -> Result<(), PanelError> {
         let pieces = self.piece.iter().max().map_or(0, |p| *p as usize + 1);
         let mut members = vec![Vec::new(); pieces];
@@ -223,13 +193,19 @@ impl Panels {
         self.point_edges.get(a as usize)?.iter().find(same).copied()
     }
 
+    /// The end of an edge that is not the point.
+    pub fn other_end(&self, edge: u32, point: u32) -> u32 {
+        let edge = &self.edges[edge as usize];
+        if edge.a == point { edge.b } else { edge.a }
+    }
+
     /// The other panel at an edge.
     pub fn across(&self, panel: u32, edge: u32) -> Option<u32> {
         let edge = &self.edges[edge as usize];
         if edge.left == panel { edge.right } else { Some(edge.left) }
     }
 
-    /// That both halves are still each other's image.
+    /// Checks that both halves are still each other's image.
     pub fn check_symmetry(&self, vertices: &[[f64; 3]]) -> Result<(), PanelError> {
         let extent = vertices.iter().flatten().fold(0.0_f64, |m, x| m.max(x.abs()));
         let tolerance = SYMMETRY_TOLERANCE * extent;
@@ -291,96 +267,31 @@ impl Panels {
     }
 }
 
-/// Cuts the panels into patches, by halving across the longest extent.
-fn patches(
-    mesh: &SurfaceMesh,
-    corners: &[[u32; 4]],
-    edges: &[Edge],
-    panel_edges: &[Vec<u32>],
-    vertex_of: &[u32],
-) -> Vec<Patch> {
-    let at = |point: u32| Vector3::from(mesh.vertices[vertex_of[point as usize] as usize]);
-    let centres: Vec<Vector3> = corners.iter().map(|c| c.map(at).iter().sum::<Vector3>() / 4.0).collect();
-    let mut sets = Vec::new();
-    bisect((0..corners.len() as u32).collect(), &centres, PATCH, &mut sets);
-    let patch = |panels: Vec<u32>| {
-        let mut points: Vec<u32> = panels.iter().flat_map(|p| corners[*p as usize]).collect();
-        points.sort_unstable();
-        points.dedup();
-        let place = |point: u32| points.partition_point(|p| *p < point) as u32;
-        let is_own = |panel: u32, edge: u32| edges[edge as usize].left == panel;
-        let own = |panel: &u32| {
-            let panel = *panel;
-            panel_edges[panel as usize].iter().copied().filter(move |e| is_own(panel, *e))
-        };
-        let own: Vec<u32> = panels.iter().flat_map(own).collect();
-        Patch {
-            corners: panels.iter().map(|p| corners[*p as usize].map(place)).collect(),
-            ends: own.iter().map(|e| [edges[*e as usize].a, edges[*e as usize].b].map(place)).collect(),
-            edges: own,
-            panels,
-            points,
-        }
-    };
-    sets.into_iter().map(patch).collect()
-}
-
-/// Halves a set of panels across its longest extent until no part has more than `most`.
-pub(crate) fn bisect(mut set: Vec<u32>, centres: &[Vector3], most: usize, out: &mut Vec<Vec<u32>>) {
-    if set.len() <= most {
-        set.sort_unstable();
-        out.push(set);
-        return;
-    }
-    let start = (Vector3::repeat(f64::INFINITY), Vector3::repeat(f64::NEG_INFINITY));
-    let (low, high) = set.iter().map(|i| &centres[*i as usize]).fold(start, |(l, h), c| (l.inf(c), h.sup(c)));
-    let axis = (high - low).imax();
-    set.sort_unstable_by(|i, j| {
-        centres[*i as usize][axis].total_cmp(&centres[*j as usize][axis]).then(i.cmp(j))
-    });
-    let rest = set.split_off(set.len() / 2);
-    bisect(set, centres, most, out);
-    bisect(rest, centres, most, out);
-}
-
-/// The mirror image in y = 0.
-pub(crate) fn mirrored(x: Vector3) -> Vector3 {
-    Vector3::new(x.x, -x.y, x.z)
-}
-
-/// Partners of vertices and of cells in the plane.
-fn mirrored_cells(
-    mesh: &SurfaceMesh,
-    plane: &Plane,
-    tolerance: f64,
-) -> Result<(Vec<u32>, Vec<u32>), PanelError> {
-    let partner = pair_vertices(&mesh.vertices, plane, tolerance)
-        .map_err(|error| PanelError::NotSymmetric(error.to_string()))?;
-    let key = |vertices: &mut dyn Iterator<Item = u32>| {
-        let mut vertices: Vec<u32> = vertices.collect();
-        vertices.sort_unstable();
-        vertices
-    };
-    let by_vertices: HashMap<Vec<u32>, u32> = mesh
-        .cells
-        .iter()
-        .enumerate()
-        .map(|(index, cell)| (key(&mut cell.vertices().iter().copied()), index as u32))
+/// The mesh cells that are solved, and of every mesh cell its panel and whether it is the panel's mirror image. Of a mesh with both halves
+/// the starboard one is solved.
+fn solved_cells(mesh: &SurfaceMesh, mirror: Option<&Partners>) -> (Vec<u32>, Vec<(u32, bool)>) {
+    let starboard =
+        |cell: &Cell| cell.vertices().iter().map(|v| mesh.vertices[*v as usize][1]).sum::<f64>() > 0.0;
+    let cell_of: Vec<u32> = (0..mesh.cells.len() as u32)
+        .filter(|&cell| mirror.is_none() || starboard(&mesh.cells[cell as usize]))
         .collect();
-    let mut cells = Vec::with_capacity(mesh.cells.len());
-    for (index, cell) in mesh.cells.iter().enumerate() {
-        let sides = cell.vertices().iter().map(|&v| plane.signed_distance(&mesh.vertices[v as usize]));
-        let (low, high) = sides.fold((0.0_f64, 0.0_f64), |(low, high), y| (low.min(y), high.max(y)));
-        let image = key(&mut cell.vertices().iter().map(|&v| partner[v as usize]));
-        match by_vertices.get(&image) {
-            Some(&other) if other != index as u32 && (low >= -tolerance || high <= tolerance) => {
-                cells.push(other);
-            }
-            _ => {
-                let text = format!("cells[{index}] has no image, or crosses the plane");
-                return Err(PanelError::NotSymmetric(text));
-            }
+    let mut panel_of = vec![(0, false); mesh.cells.len()];
+    for (panel, &cell) in cell_of.iter().enumerate() {
+        panel_of[cell as usize] = (panel as u32, false);
+        if let Some(partners) = mirror {
+            panel_of[partners.cells[cell as usize] as usize] = (panel as u32, true);
         }
     }
-    Ok((partner, cells))
+    (cell_of, panel_of)
+}
+
+/// The edges, each as its first panel runs through it.
+fn oriented_edges(topology: &Topology, cells: &[Cell]) -> Vec<Edge> {
+    let edge = |(&[a, b], around): (&[u32; 2], &[u32])| {
+        let first = around[0];
+        let runs = cells[first as usize].edges().any(|side| side == [a, b]);
+        let [a, b] = if runs { [a, b] } else { [b, a] };
+        Edge { a, b, left: first, right: around.get(1).copied() }
+    };
+    topology.edges.iter().zip(topology.edge_cells.rows()).map(edge).collect()
 }

@@ -1,11 +1,12 @@
-//! A mesh made ready: everything that is decided once and holds for all positions of its vertices.
+//! The set-up of a mesh: all decisions that hold for any positions of its vertices.
 
 use moldline_mesh::SurfaceMesh;
 
 use crate::{
-    Monitor, Options, PanelError, Solution, Solver, Stage,
+    Options, PanelError, Solver,
+    bounds::within,
     gradient::Stencils,
-    topology::Panels,
+    panels::Panels,
     trefftz::Trace,
     wake::{Beside, Wakes},
 };
@@ -28,11 +29,11 @@ pub struct PanelSetup {
     pub(crate) trace: Trace,
     pub(crate) components: Vec<Component>,
     pub(crate) options: Options,
-    /// Cells of each mesh vertex, apart on both sides of a trailing edge only in what they are averaged for.
+    /// Cells at each mesh vertex, over which its pressure is averaged.
     pub(crate) vertex_cells: moldline_mesh::Csr,
 }
 
-/// What a set-up has found.
+/// The decisions of a set-up.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SetupSummary {
     /// Number of unknowns.
@@ -55,7 +56,7 @@ impl PanelSetup {
     /// # Errors
     /// [`PanelError`] for meshes that are open, not oriented, without trailing edges, too large for the memory allowed, ...
     pub fn new(mesh: &SurfaceMesh, options: Options) -> Result<Self, PanelError> {
-        check("options.tolerance", options.tolerance, 1e-14, 1e-4)?;
+        within("options.tolerance", options.tolerance, 1e-14, 1e-4)?;
         let panels = Panels::new(mesh, options.symmetry)?;
         let needed = memory(panels.len(), panels.vertex_of.len(), options.solver);
         if needed > options.memory_limit {
@@ -75,7 +76,7 @@ impl PanelSetup {
         Ok(setup)
     }
 
-    /// What was found.
+    /// The decisions of the set-up.
     pub fn summary(&self) -> SetupSummary {
         let vertex = |point: u32| self.panels.vertex_of[point as usize];
         let roots = self.wakes.strips.iter().flat_map(|s| {
@@ -96,20 +97,6 @@ impl PanelSetup {
     pub fn component_names(&self) -> impl Iterator<Item = &str> {
         self.components.iter().map(|c| c.name.as_str())
     }
-
-    /// The flow for unit winds along the axes: any angle of attack follows from it at once.
-    ///
-    /// # Errors
-    /// [`PanelError`] if the vertices are not finite, a cell has collapsed, a wake cuts a cell, the Mach number is out of range
-    /// or the solution does not converge.
-    pub fn solve(
-        &self,
-        vertices: &[[f64; 3]],
-        mach: f64,
-        monitor: &dyn Monitor<Stage>,
-    ) -> Result<Solution, PanelError> {
-        Solution::new(std::sync::Arc::new(self.clone()), vertices, mach, monitor)
-    }
 }
 
 /// Bytes that a solution needs at its peak: matrix and factors, and what six adjoints gather from the pairs.
@@ -117,18 +104,9 @@ fn memory(unknowns: usize, points: usize, solver: Solver) -> u64 {
     solver.bytes(unknowns) + 8 * (unknowns as u64 * 600 + points as u64 * 200)
 }
 
-/// Bytes that a solution of so many unknowns needs at its peak, about.
+/// An estimate of the bytes that a solution of so many unknowns needs at its peak.
 pub fn memory_estimate(unknowns: usize, solver: Solver) -> u64 {
     memory(unknowns, unknowns, solver)
-}
-
-/// That a number is finite and within bounds.
-pub(crate) fn check(field: &str, value: f64, low: f64, high: f64) -> Result<(), PanelError> {
-    if (low..=high).contains(&value) {
-        Ok(())
-    } else {
-        Err(PanelError::OutOfRange { field: field.to_owned(), value, low, high })
-    }
 }
 
 fn components(mesh: &SurfaceMesh, panels: &Panels, options: &Options) -> Result<Vec<Component>, PanelError> {

@@ -11,6 +11,7 @@ use faer::{
 };
 use rayon::prelude::*;
 
+use super::operator::{Inverse, maximum};
 use crate::PanelError;
 
 /// Columns of a block.
@@ -28,7 +29,7 @@ pub(crate) struct Factor<T> {
 }
 
 impl<T: RealField + Send + Sync> Factor<T> {
-    /// Factorises in place. `report` is told the fraction of work done and answers whether to go on.
+    /// Factorises in place. `report` gets the fraction of work done and returns whether to go on.
     pub fn new(mut matrix: Mat<T>, report: impl Fn(f64) -> bool) -> Result<Self, PanelError> {
         let n = matrix.nrows();
         let mut rows: Vec<usize> = (0..n).collect();
@@ -57,16 +58,19 @@ impl<T: RealField + Send + Sync> Factor<T> {
         Ok(Self { matrix, rows })
     }
 
-    /// Solves `A X = B` in place.
-    pub fn solve(&self, right: &mut Mat<T>) {
+    /// Solves `A X = B`, or `A^T X = B`, in place.
+    pub fn solve_in_place(&self, right: &mut Mat<T>, transposed: bool) {
+        if transposed { self.solve_transposed(right) } else { self.solve_plain(right) }
+    }
+
+    fn solve_plain(&self, right: &mut Mat<T>) {
         let permuted = Mat::from_fn(right.nrows(), right.ncols(), |i, j| right[(self.rows[i], j)].clone());
         *right = permuted;
         triangular::solve_unit_lower_triangular_in_place(self.matrix.as_ref(), right.as_mut(), Par::Seq);
         triangular::solve_upper_triangular_in_place(self.matrix.as_ref(), right.as_mut(), Par::Seq);
     }
 
-    /// Solves `A^T X = B` in place.
-    pub fn solve_transposed(&self, right: &mut Mat<T>) {
+    fn solve_transposed(&self, right: &mut Mat<T>) {
         let transposed: MatRef<'_, T> = self.matrix.transpose();
         triangular::solve_lower_triangular_in_place(transposed, right.as_mut(), Par::Seq);
         triangular::solve_unit_upper_triangular_in_place(transposed, right.as_mut(), Par::Seq);
@@ -75,6 +79,26 @@ impl<T: RealField + Send + Sync> Factor<T> {
             (0..right.ncols()).for_each(|j| out[(row, j)] = right[(i, j)].clone());
         }
         *right = out;
+    }
+}
+
+impl Inverse for Factor<f64> {
+    fn solve(&self, right: &[Vec<f64>], transposed: bool) -> Vec<Vec<f64>> {
+        let mut columns = Mat::from_fn(right[0].len(), right.len(), |i, j| right[j][i]);
+        self.solve_in_place(&mut columns, transposed);
+        (0..right.len()).map(|j| columns.col_as_slice(j).to_vec()).collect()
+    }
+}
+
+/// With columns scaled to their maximum norm, so that a small residual does not underflow.
+impl Inverse for Factor<f32> {
+    fn solve(&self, right: &[Vec<f64>], transposed: bool) -> Vec<Vec<f64>> {
+        let scales: Vec<f64> =
+            right.iter().map(|b| maximum(b)).map(|s| if s > 0.0 { s } else { 1.0 }).collect();
+        let mut columns = Mat::from_fn(right[0].len(), right.len(), |i, j| (right[j][i] / scales[j]) as f32);
+        self.solve_in_place(&mut columns, transposed);
+        let column = |j: usize| columns.col_as_slice(j).iter().map(|x| f64::from(*x) * scales[j]).collect();
+        (0..right.len()).map(column).collect()
     }
 }
 
