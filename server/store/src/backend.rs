@@ -1,4 +1,4 @@
-//! Object storage by name: create if absent, read, list, delete.
+//! Objects by name: create if absent, read, list, delete.
 
 use std::{
     path::{Path as FilePath, PathBuf},
@@ -17,21 +17,21 @@ use crate::error::StoreError;
 /// An object in a list.
 #[derive(Clone, Debug)]
 pub struct Listed {
-    /// Name, relative to the prefix of the store.
+    /// Its name, relative to the prefix of the store.
     pub name: String,
-    /// Size, bytes.
+    /// Its size, bytes.
     pub size: u64,
     /// Time of the last write.
     pub modified: SystemTime,
 }
 
-/// An object storage.
+/// A collection of objects.
 #[derive(Clone, Debug)]
 pub struct Backend {
     objects: Arc<dyn ObjectStore>,
     /// Prefix of all names.
     prefix: Path,
-    /// The folder, if it is one.
+    /// The folder, if the objects are files.
     folder: Option<Arc<PathBuf>>,
 }
 
@@ -47,7 +47,7 @@ impl Backend {
         Self::folder(FilePath::new(location)).map_err(|error| refused(location, error.to_string()))
     }
 
-    /// As [`open`](Self::open), but creates a missing folder.
+    /// Opens, and creates a missing folder.
     pub fn make(location: &str) -> Result<Self, StoreError> {
         if location != "memory" && !location.contains("://") {
             std::fs::create_dir_all(location).map_err(|error| refused(location, error.to_string()))?;
@@ -55,7 +55,7 @@ impl Backend {
         Self::open(location)
     }
 
-    /// A storage in memory, which ends with the process.
+    /// A collection in memory, which ends with the process.
     pub fn in_memory() -> Self {
         Self { objects: Arc::new(InMemory::new()), prefix: Path::default(), folder: None }
     }
@@ -63,7 +63,7 @@ impl Backend {
     fn folder(path: &FilePath) -> Result<Self, Box<dyn std::error::Error>> {
         let path = path.canonicalize()?;
         let objects = LocalFileSystem::new_with_prefix(&path)?;
-        // A write is acknowledged once it is on the disk: file and folder are synced before it returns.
+        // Acknowledged objects are on the disk: file and folder are synced before a write returns.
         let objects = Arc::new(objects.with_fsync(true));
         Ok(Self { objects, prefix: Path::default(), folder: Some(Arc::new(path)) })
     }
@@ -75,11 +75,11 @@ impl Backend {
             return Err(refused(location, "only s3:// is known among URLs"));
         }
         let prefix = Path::from_url_path(url.path()).map_err(|error| refused(location, error.to_string()))?;
-        // The provider of cryptography for the whole process. It is no error if one is installed already.
+        // The process-wide provider of cryptography. An earlier installation is fine.
         let _ = tokio_rustls::rustls::crypto::ring::default_provider().install_default();
         // Endpoint, region and credentials come from the environment: AWS_ENDPOINT, AWS_REGION, AWS_ACCESS_KEY_ID, ...
         let builder = object_store::aws::AmazonS3Builder::from_env().with_url(location);
-        // Callers wait for the store: a failure is reported soon, and they decide whether to retry.
+        // Callers wait: they learn soon that the store does not answer, and decide themselves whether to retry.
         let retry = object_store::RetryConfig {
             max_retries: 5,
             retry_timeout: std::time::Duration::from_secs(15),
@@ -96,7 +96,7 @@ impl Backend {
         Err(refused(location, "this program was built without object stores (feature `s3`)"))
     }
 
-    /// The folder, if it is one.
+    /// The folder, if the objects are files.
     pub fn local_folder(&self) -> Option<&FilePath> {
         self.folder.as_deref().map(PathBuf::as_path)
     }
@@ -105,13 +105,13 @@ impl Backend {
         self.prefix.parts().chain(Path::from(name).parts()).collect()
     }
 
-    /// Creates an object, durably; `false` if the name is taken.
+    /// Creates an object durably; `false` if the name exists.
     pub async fn create(&self, name: &str, data: Bytes) -> Result<bool, StoreError> {
         let path = self.path(name);
         match self.objects.put_opts(&path, PutPayload::from_bytes(data), PutMode::Create.into()).await {
             Ok(_) => Ok(true),
             Err(object_store::Error::AlreadyExists { .. } | object_store::Error::Precondition { .. }) => {
-                // The process that created it may not have synced the folder yet, and the caller relies on the object.
+                // Its creator may not have synced the folder yet, and the caller is about to rely on the object.
                 self.sync_folder_of(name).await?;
                 Ok(false)
             }
@@ -119,7 +119,7 @@ impl Backend {
         }
     }
 
-    /// Rewrites an object that is named by its hash: with the same content, and a new date.
+    /// Rewrites an object that is named by its hash: the same content with a new date.
     pub async fn renew(&self, name: &str, data: Bytes) -> Result<(), StoreError> {
         let written = self.objects.put(&self.path(name), PutPayload::from_bytes(data)).await;
         written.map(drop).map_err(|error| StoreError::of(name, &error))
@@ -140,7 +140,7 @@ impl Backend {
             .map_err(|error| unavailable(error.to_string()))
     }
 
-    /// The content and date of an object, if it exists.
+    /// Content and age of an object, if it exists.
     pub async fn read(&self, name: &str) -> Result<Option<(Bytes, SystemTime)>, StoreError> {
         let found = match self.objects.get(&self.path(name)).await {
             Ok(found) => found,
@@ -154,7 +154,7 @@ impl Backend {
         }
     }
 
-    /// All objects below a name, in order.
+    /// All objects below a name, sorted.
     pub async fn list(&self, below: &str) -> Result<Vec<Listed>, StoreError> {
         let prefix = self.path(below);
         let strip = self.prefix.as_ref().len() + usize::from(!self.prefix.as_ref().is_empty());
@@ -172,7 +172,7 @@ impl Backend {
         Ok(found)
     }
 
-    /// Names one level below a name, in order.
+    /// Names one level below a name, sorted.
     pub async fn children(&self, below: &str) -> Result<Vec<String>, StoreError> {
         let found = match self.objects.list_with_delimiter(Some(&self.path(below))).await {
             Ok(found) => found,
@@ -196,7 +196,7 @@ impl Backend {
     }
 }
 
-/// The error of a store that cannot be opened.
+/// The error that the store cannot be opened.
 pub(crate) fn refused(location: &str, reason: impl Into<String>) -> StoreError {
     StoreError::Location { location: location.to_owned(), reason: reason.into() }
 }

@@ -1,4 +1,4 @@
-//! Garbage collection of unreachable objects, and verification of the others.
+//! Garbage collection and verification.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -13,15 +13,15 @@ use crate::{
     store::{CLOSED, Store, check_hash, older},
 };
 
-/// Least lifetime of request ids, whatever the grace period.
+/// Minimum time for which request ids are kept, whatever the grace period.
 const REQUESTS: Duration = Duration::from_secs(7 * 24 * 3600);
 
-/// The objects that a collection removed, or would remove.
+/// Objects that a collection removed or, in a dry run, would remove.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Collected {
-    /// Names.
+    /// Their names.
     pub objects: Vec<String>,
-    /// Size of all of them, bytes.
+    /// Their size.
     pub bytes: u64,
 }
 
@@ -30,18 +30,18 @@ pub struct Collected {
 pub struct Verified {
     /// Number of objects read.
     pub objects: usize,
-    /// Size of all of them, bytes.
+    /// Their size.
     pub bytes: u64,
-    /// Objects that are damaged or missing.
+    /// Damaged and missing objects.
     pub faults: Vec<StoreError>,
 }
 
 impl Store {
-    /// Removes objects that are unreachable and have not been written for `grace`; with `dry_run` only lists them.
-    /// While a service runs, `grace` has to be longer than an hour, and than any upload takes.
+    /// Removes unreachable objects that have not been written for `grace`; with `dry_run` only lists them. Under a running
+    /// service `grace` must be longer than any upload takes, and than an hour.
     ///
     /// # Errors
-    /// If the store does not answer, or a record that decides on reachability is damaged: then nothing is removed.
+    /// If the store does not answer, or a record that decides is damaged; nothing is removed then.
     pub async fn collect(&self, grace: Duration, dry_run: bool) -> Result<Collected, StoreError> {
         let objects = self.backend.list("").await?;
         let mut garbage: Vec<&Listed> = Vec::new();
@@ -59,7 +59,7 @@ impl Store {
         }
         for (_, generations) in rows(&objects, "session/") {
             if generations.iter().any(|object| object.name.ends_with(CLOSED)) {
-                // The mark of closing is removed last.
+                // The mark that it is closed is removed last.
                 garbage.extend(generations);
                 continue;
             }
@@ -73,7 +73,7 @@ impl Store {
         let mut blobs = BTreeSet::new();
         for object in objects.iter().filter(|object| object.name.starts_with("setup/")) {
             let id = &object.name["setup/".len()..];
-            // The upload of a young one may not have finished: its blobs stay.
+            // A young set-up may be about to get an owner: its blobs stay with it.
             if needed.contains(id) || !older(object.modified, grace) {
                 let files = self.manifest(id).await?.map(|manifest| manifest.files).unwrap_or_default();
                 blobs.extend(files.into_iter().map(|file| file.hash));
@@ -127,7 +127,7 @@ impl Store {
         found.map(|(sealed, _)| unseal(name, &sealed)).transpose()
     }
 
-    /// Reads all objects, and reports those that are damaged or missing.
+    /// Reads all objects, and reports damaged and missing ones.
     ///
     /// # Errors
     /// If the store does not answer.
@@ -169,7 +169,7 @@ impl Store {
     }
 }
 
-/// Objects below `kind`, grouped by their names without the last part; each row in order.
+/// Objects below `kind`, grouped by all but the last part of their names; each group sorted.
 fn rows<'o>(objects: &'o [Listed], kind: &str) -> BTreeMap<String, Vec<&'o Listed>> {
     let mut rows: BTreeMap<String, Vec<&Listed>> = BTreeMap::new();
     for object in objects.iter().filter(|object| object.name.starts_with(kind)) {
@@ -180,13 +180,13 @@ fn rows<'o>(objects: &'o [Listed], kind: &str) -> BTreeMap<String, Vec<&'o Liste
     rows
 }
 
-/// Whether the name of any object begins with a prefix.
+/// Whether any object has a name with that prefix.
 fn has_row(objects: &[Listed], row: &str) -> bool {
     let first = objects.partition_point(|object| object.name.as_str() < row);
     objects.get(first).is_some_and(|object| object.name.starts_with(row))
 }
 
-/// Temporary files of writes that a process left unfinished; readers never see them.
+/// Files that were being written when a process ended; they are never visible to readers.
 fn leftovers(root: &Path, folder: &Path, grace: Duration, dry_run: bool, collected: &mut Collected) {
     let Ok(entries) = std::fs::read_dir(folder) else { return };
     for entry in entries.flatten() {

@@ -1,46 +1,48 @@
 //! Errors of the store.
 
-use std::{error::Error, io};
+use std::{error::Error, io, time::Duration};
 
-/// An error of the store. Stored objects are intact, except with `Corrupt`.
+use moldline_host::{Code, ServiceError};
+
+/// Why an operation on the store fails. Its content is intact, except for `Corrupt` objects.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum StoreError {
-    /// No space is left.
+    /// No space.
     #[error("the store has no space left for {object}: {reason}")]
     Full {
-        /// What was to be written.
+        /// The object to be written.
         object: String,
-        /// In the words of the system.
+        /// The system's message.
         reason: String,
     },
     /// No permission to write.
     #[error("the store cannot be written to, {object} is not stored: {reason}")]
     ReadOnly {
-        /// What was to be written.
+        /// The object to be written.
         object: String,
-        /// In the words of the system.
+        /// The system's message.
         reason: String,
     },
-    /// Bytes that differ from those that were written.
+    /// The bytes are not those that were written.
     #[error("{object} in the store is damaged: {reason}")]
     Corrupt {
-        /// Name of the object.
+        /// The object.
         object: String,
-        /// The evidence.
+        /// How the damage was found.
         reason: String,
     },
-    /// Anything else, such as a network that does not answer.
+    /// Anything else: a network that does not answer, say.
     #[error("the store does not answer for {object}: {reason}")]
     Unavailable {
-        /// Name of the requested object.
+        /// The object requested.
         object: String,
-        /// In the words of the system.
+        /// The system's message.
         reason: String,
     },
     /// The store cannot be opened.
     #[error("cannot open the store {location}: {reason}")]
     Location {
-        /// Location, as given.
+        /// The location as given.
         location: String,
         /// The reason.
         reason: String,
@@ -52,7 +54,7 @@ impl StoreError {
         Self::Corrupt { object: object.into(), reason: reason.into() }
     }
 
-    /// Classifies an error by the system's error below it.
+    /// Classified by the system's error at its root.
     pub(crate) fn of(object: &str, error: &object_store::Error) -> Self {
         let innermost = chain(error).last().map(ToString::to_string).unwrap_or_default();
         let (object, reason) = (object.to_owned(), innermost);
@@ -68,10 +70,27 @@ impl StoreError {
     }
 }
 
-/// The value for a list or a total: nothing in place of a damaged object, which is reported only when it is read by name.
+impl From<StoreError> for ServiceError {
+    fn from(error: StoreError) -> Self {
+        let code = match error {
+            StoreError::Full { .. } => Code::ResourceExhausted,
+            StoreError::Corrupt { .. } => Code::Internal,
+            StoreError::ReadOnly { .. } | StoreError::Location { .. } | StoreError::Unavailable { .. } => {
+                Code::Unavailable
+            }
+        };
+        let answer = Self::new(code, error.to_string());
+        match error {
+            StoreError::Unavailable { .. } => answer.retry_after(Duration::from_secs(1)),
+            _ => answer,
+        }
+    }
+}
+
+/// Skips a damaged record, for lists and sums. Reading it by its id still reports the damage.
 ///
 /// # Errors
-/// All but `Corrupt`.
+/// All errors but `Corrupt`.
 pub fn unless_damaged<T>(found: Result<Option<T>, StoreError>) -> Result<Option<T>, StoreError> {
     match found {
         Err(error @ StoreError::Corrupt { .. }) => {
@@ -96,7 +115,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn errors_of_the_system_are_told_apart_however_deep_they_lie() {
+    fn system_errors_are_classified_however_deeply_they_are_nested() {
         let of = |kind: io::ErrorKind| {
             let inner =
                 object_store::Error::Generic { store: "test", source: Box::new(io::Error::from(kind)) };

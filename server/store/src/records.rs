@@ -1,4 +1,4 @@
-//! Records, and the hashes by which a reader verifies them.
+//! Records, and the hashes that verify them.
 
 use std::time::SystemTime;
 
@@ -7,21 +7,21 @@ use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use crate::error::StoreError;
 
-/// The files of a set-up: the set-up file first, then the files that it refers to by path.
+/// The files of a set-up: the set-up file first, followed by the files to which it refers by path.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Manifest {
-    /// In the order of their paths, except the first.
+    /// The set-up file, then the others sorted by path.
     pub files: Vec<ManifestEntry>,
 }
 
 /// A file of a set-up.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ManifestEntry {
-    /// Relative, with `/` between parts.
+    /// Relative path, with `/` between parts.
     pub path: String,
-    /// blake3 of its content, in hexadecimal digits.
+    /// BLAKE3 hash of its content, in hexadecimal digits.
     pub hash: String,
-    /// Size, bytes.
+    /// Its size, bytes.
     pub size: u64,
 }
 
@@ -40,9 +40,9 @@ impl Manifest {
         Self { files }
     }
 
-    /// The set-up's name, a hash of its files in hexadecimal digits. It depends neither on archives nor on other uploaded files.
+    /// The id of the set-up, in hexadecimal digits. It does not depend on archives, nor on other uploaded files.
     pub fn id(&self) -> String {
-        // The number increases with every change of the format's meaning.
+        // Increases whenever the meaning of the format changes.
         let mut hasher = blake3::Hasher::new_derive_key("moldline set-up, format 1");
         for ManifestEntry { path, hash, .. } in &self.files {
             hasher.update(&(path.len() as u64).to_le_bytes());
@@ -52,13 +52,13 @@ impl Manifest {
         hasher.finalize().to_hex().to_string()
     }
 
-    /// Size of all files, bytes.
+    /// Total size of the files, bytes.
     pub fn bytes(&self) -> u64 {
         self.files.iter().map(|file| file.size).sum()
     }
 }
 
-/// Who may use a set-up besides its owner.
+/// The tenants that may use a set-up besides its owner.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Shared {
@@ -66,7 +66,7 @@ pub enum Shared {
     Private,
     /// These tenants.
     Tenants(Vec<String>),
-    /// All tenants.
+    /// Every tenant.
     Public,
 }
 
@@ -79,13 +79,13 @@ pub struct AccessRecord {
     pub shared: Shared,
     /// The user's title.
     pub name: String,
-    /// Number of vertices of its mesh.
+    /// Vertices of its mesh.
     pub vertices: u64,
-    /// Number of cells of its mesh.
+    /// Cells of its mesh.
     pub cells: u64,
-    /// Number of design variables.
+    /// Design variables.
     pub variables: u64,
-    /// Size of its files, bytes.
+    /// Size of its files.
     pub bytes: u64,
     /// Time of the tenant's first upload.
     pub created: SystemTime,
@@ -94,23 +94,23 @@ pub struct AccessRecord {
 /// A session.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SessionRecord {
-    /// Name of its set-up.
+    /// Id of its set-up.
     pub setup: String,
     /// Values of all variables.
     pub design: Numbers,
-    /// Control points given directly: component and coordinates.
+    /// Given control points: component and coordinates, m.
     pub control_points: Vec<(String, Numbers)>,
-    /// A label for people.
+    /// The user's label.
     pub label: String,
-    /// Time of opening.
+    /// Time of its opening.
     pub created: SystemTime,
-    /// Time of writing of this generation.
+    /// Time at which this generation was written.
     pub updated: SystemTime,
-    /// The request that wrote it; may be empty.
+    /// Id of the request that wrote it; may be empty.
     pub request: String,
 }
 
-/// Numbers without loss of bits: 16 hexadecimal digits each.
+/// Numbers that keep every bit: 16 hexadecimal digits each.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct Numbers(pub Vec<f64>);
@@ -137,7 +137,7 @@ impl TryFrom<String> for Numbers {
     }
 }
 
-/// Serialises a record, with the hash of the rest in its first line.
+/// A record whose first line is the hash of the rest.
 pub(crate) fn seal(record: &impl Serialize) -> Result<Bytes, StoreError> {
     let body = serde_json::to_vec(record).map_err(|error| StoreError::Unavailable {
         object: "a record".to_owned(),
@@ -162,7 +162,7 @@ pub(crate) fn unseal<T: DeserializeOwned>(object: &str, sealed: &[u8]) -> Result
     serde_json::from_slice(body).map_err(|error| corrupt(error.to_string()))
 }
 
-/// Appends their hash to bytes.
+/// Bytes followed by their hash.
 pub(crate) fn seal_bytes(mut data: Vec<u8>) -> Bytes {
     let hash = blake3::hash(&data);
     data.extend_from_slice(hash.as_bytes());

@@ -1,4 +1,4 @@
-//! The store of set-ups and their owners, sessions, and request ids.
+//! Set-ups and their owners, sessions, and request ids.
 
 use std::{
     collections::BTreeSet,
@@ -15,46 +15,46 @@ use crate::{
     records::{AccessRecord, Manifest, SessionRecord, Shared, seal, seal_bytes, unseal, unseal_bytes},
 };
 
-/// An object older than this is rewritten when it is used, so that garbage collection does not remove it.
+/// Objects older than this are rewritten when they are used, so that garbage collection does not remove them.
 const RENEW: Duration = Duration::from_secs(3600);
-/// Concurrent reads.
+/// Reads at a time.
 const AT_ONCE: usize = 32;
-/// In place of a tenant: all tenants. No tenant can have this name.
+/// Stands for all tenants. No tenant can have this name.
 const EVERYBODY: &str = "@public";
-/// Version of the layout that the crate's documentation describes.
+/// Version of the layout described at the head of the crate.
 const FORMAT: &str = "moldline store 1";
 
-/// The last generation of a record.
+/// The latest record of a row of generations.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Generation<T> {
-    /// Number of the generation, from one.
+    /// Its number, from 1.
     pub number: u64,
     /// The record.
     pub record: T,
 }
 
-/// The state of a request id.
+/// The outcome of claiming a request id.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Claim {
     /// The id is new.
     New,
-    /// The id has named the same request before.
+    /// The id named the same request before.
     Repeated,
-    /// The id has named another request.
+    /// The id named another request.
     Taken,
 }
 
-/// The store. Clones, processes and machines share its objects.
+/// A handle to a store. Clones, processes and machines share its objects.
 #[derive(Clone, Debug)]
 pub struct Store {
     pub(crate) backend: Backend,
 }
 
 impl Store {
-    /// Opens `memory`, a folder (made if there is none), or a URL such as `s3://bucket/prefix`.
+    /// Opens `memory`, a folder (created if it is missing), or a URL such as `s3://bucket/prefix`.
     ///
     /// # Errors
-    /// If it cannot be reached, or holds something else.
+    /// If it cannot be reached, or is no store.
     pub async fn open(location: &str) -> Result<Self, StoreError> {
         let backend = Backend::make(location)?;
         if !is_made(&backend, location).await? {
@@ -70,7 +70,7 @@ impl Store {
     /// Opens an existing store.
     ///
     /// # Errors
-    /// If there is no store, it cannot be reached, or the location holds something else.
+    /// If it does not exist, cannot be reached, or is no store.
     pub async fn open_existing(location: &str) -> Result<Self, StoreError> {
         let backend = Backend::open(location)?;
         match is_made(&backend, location).await? {
@@ -84,7 +84,7 @@ impl Store {
         Self { backend: Backend::in_memory() }
     }
 
-    /// Stores the files of a set-up, the set-up file first, and returns its name.
+    /// Stores the files of a set-up, the set-up file first, and returns its id.
     ///
     /// # Errors
     /// If they cannot be written.
@@ -99,7 +99,7 @@ impl Store {
         Ok(id)
     }
 
-    /// Writes an object named by its content, unless an intact and recent one exists.
+    /// Writes an object that is named by its hash, unless it exists, is intact and is young.
     async fn put_named(&self, name: &str, data: Bytes) -> Result<(), StoreError> {
         if let Some((found, modified)) = self.backend.read(name).await? {
             if found != data {
@@ -115,7 +115,7 @@ impl Store {
     /// The files of a set-up, the set-up file first.
     ///
     /// # Errors
-    /// `Corrupt`, with the object whose content does not match its name.
+    /// `Corrupt` naming the object whose content does not fit its name.
     pub async fn setup(&self, id: &str) -> Result<Option<Vec<(String, Bytes)>>, StoreError> {
         let Some(manifest) = self.manifest(id).await? else { return Ok(None) };
         let files = stream::iter(manifest.files).map(|file| async move {
@@ -139,7 +139,7 @@ impl Store {
         }
     }
 
-    /// Stores the derived data of a set-up by a build of the engine.
+    /// Stores the data that a build of the engine derived from a set-up.
     ///
     /// # Errors
     /// If it cannot be written.
@@ -148,22 +148,22 @@ impl Store {
         let sealed = seal_bytes(data);
         match self.backend.create(&name, sealed.clone()).await? {
             true => Ok(()),
-            // The caller has found no usable data there.
+            // Its writer has found no usable object there.
             false => self.backend.renew(&name, sealed).await,
         }
     }
 
-    /// The derived data of a set-up by that build of the engine, if stored.
+    /// The data that a build of the engine derived from a set-up, if they are stored.
     ///
     /// # Errors
-    /// `Corrupt` if it is damaged.
+    /// `Corrupt` if they are damaged.
     pub async fn derived(&self, setup: &str, build: &str) -> Result<Option<Bytes>, StoreError> {
         let name = format!("derived/{setup}/{build}");
         let Some((sealed, _)) = self.backend.read(&name).await? else { return Ok(None) };
         unseal_bytes(&name, sealed).map(Some)
     }
 
-    /// The access record of a set-up that the tenant uploaded.
+    /// The access of a tenant that uploaded a set-up.
     ///
     /// # Errors
     /// If the store does not answer or the record is damaged.
@@ -175,7 +175,7 @@ impl Store {
         self.latest(&format!("access/{tenant}/{setup}")).await
     }
 
-    /// As [`access`](Self::access), with the reason in place of a damaged record, so that it can be rewritten.
+    /// As [`access`](Self::access), with the error in place of a damaged record, so that it can be rewritten.
     ///
     /// # Errors
     /// If the store does not answer.
@@ -187,7 +187,7 @@ impl Store {
         self.latest_or_damage(&format!("access/{tenant}/{setup}")).await
     }
 
-    /// Writes the next generation of an access record; `false` if another caller wrote it first.
+    /// Writes the next generation of a tenant's access to a set-up; `false` if it exists already.
     ///
     /// # Errors
     /// If it cannot be written.
@@ -198,7 +198,7 @@ impl Store {
         number: u64,
         record: &AccessRecord,
     ) -> Result<bool, StoreError> {
-        // The pointers come first, since the record decides.
+        // The grant comes first: the record decides.
         let grantees: Vec<&str> = match &record.shared {
             _ if !record.owned => Vec::new(),
             Shared::Private => Vec::new(),
@@ -212,14 +212,14 @@ impl Store {
         self.append(&format!("access/{tenant}/{setup}"), number, record).await
     }
 
-    /// The access record by which another tenant shares a set-up with this one, if any.
+    /// The access to a set-up that another tenant has granted to a tenant, if any.
     ///
     /// # Errors
     /// If the store does not answer.
     pub async fn granted(&self, tenant: &str, setup: &str) -> Result<Option<AccessRecord>, StoreError> {
         for grantee in [tenant, EVERYBODY] {
             for owner in self.backend.children(&format!("grant/{grantee}/{setup}")).await? {
-                // A damaged record allows nothing.
+                // A damaged record grants nothing.
                 let found = unless_damaged(self.access(&owner, setup).await)?;
                 let record = found.map(|generation| generation.record);
                 if let Some(record) = record.filter(|record| record.owned)
@@ -236,7 +236,7 @@ impl Store {
         Ok(None)
     }
 
-    /// Names of all set-ups that a tenant may own or share, in order.
+    /// Ids of all set-ups to which a tenant may have access, sorted.
     ///
     /// # Errors
     /// If the store does not answer.
@@ -262,7 +262,7 @@ impl Store {
         Ok(records.into_iter().flatten().collect())
     }
 
-    /// Tenants that own or have owned set-ups or sessions.
+    /// Tenants that own or owned set-ups or sessions.
     ///
     /// # Errors
     /// If the store does not answer.
@@ -274,7 +274,7 @@ impl Store {
         Ok(tenants)
     }
 
-    /// Set-ups and bytes in the store.
+    /// Number and size of the set-ups in the store.
     ///
     /// # Errors
     /// If the store does not answer.
@@ -284,7 +284,7 @@ impl Store {
         Ok((setups, objects.iter().map(|object| object.size).sum()))
     }
 
-    /// The last generation of an open session.
+    /// The latest generation of an open session.
     ///
     /// # Errors
     /// If the store does not answer or the record is damaged.
@@ -296,7 +296,7 @@ impl Store {
         self.latest(&format!("session/{tenant}/{id}")).await
     }
 
-    /// One generation of a session, if it (still) exists.
+    /// One generation of a session, if it exists (still).
     ///
     /// # Errors
     /// If the store does not answer or the record is damaged.
@@ -309,7 +309,7 @@ impl Store {
         self.record(&numbered(&format!("session/{tenant}/{id}"), number)).await
     }
 
-    /// Writes a generation of a session; `false` if that number is taken.
+    /// Writes a generation of a session; `false` if the number exists.
     ///
     /// # Errors
     /// If it cannot be written.
@@ -332,7 +332,7 @@ impl Store {
         self.backend.create(&name, Bytes::from_static(b"closed")).await.map(drop)
     }
 
-    /// Ids of the open sessions of a tenant, in order.
+    /// Ids of the open sessions of a tenant, sorted.
     ///
     /// # Errors
     /// If the store does not answer.
@@ -349,7 +349,7 @@ impl Store {
         Ok(all.difference(&closed).cloned().collect())
     }
 
-    /// Binds a request id to a request, whose hash is given. The empty id is always new.
+    /// Binds a request id to the hash of a request. The empty id is always new.
     ///
     /// # Errors
     /// If it cannot be written.
@@ -399,7 +399,7 @@ impl Store {
     }
 }
 
-/// Whether the location holds a store.
+/// Whether a store exists there.
 async fn is_made(backend: &Backend, location: &str) -> Result<bool, StoreError> {
     match backend.read("format").await {
         Ok(Some((found, _))) if found == FORMAT.as_bytes() => Ok(true),
@@ -409,10 +409,10 @@ async fn is_made(backend: &Backend, location: &str) -> Result<bool, StoreError> 
     }
 }
 
-/// In place of a generation's number: the row has ended.
+/// In place of a generation's number: the session is closed.
 pub(crate) const CLOSED: &str = "closed";
 
-/// A name that sorts as the number does.
+/// The name of a generation; names sort like the numbers.
 fn numbered(row: &str, number: u64) -> String {
     format!("{row}/{number:020}")
 }
@@ -424,7 +424,7 @@ pub(crate) fn check_hash(name: &str, hash: &str, content: &[u8]) -> Result<(), S
     Err(StoreError::corrupt(name, format!("the hash of its {} bytes is not its name", content.len())))
 }
 
-/// Whether the last write is at least so long ago.
+/// Whether the last write was at least that long ago.
 pub(crate) fn older(modified: SystemTime, grace: Duration) -> bool {
     modified.elapsed().unwrap_or_default() >= grace
 }

@@ -48,7 +48,7 @@ async fn folder() -> (tempfile::TempDir, Store) {
     (folder, store)
 }
 
-/// An empty prefix in the object store for tests, if there is one.
+/// An empty place in the object store that tests may use, if there is one.
 fn remote() -> Option<String> {
     match std::env::var("MOLDLINE_TEST_S3") {
         Ok(place) => Some(format!("{place}/{}", uuid::Uuid::new_v4())),
@@ -59,7 +59,7 @@ fn remote() -> Option<String> {
     }
 }
 
-/// A set-up with every kind of record.
+/// A set-up with all that can be stored of it.
 async fn filled(store: &Store) -> String {
     let id = store.put_setup(&files("content")).await.unwrap();
     store.put_derived(&id, "build", vec![7; 1000]).await.unwrap();
@@ -70,7 +70,7 @@ async fn filled(store: &Store) -> String {
 }
 
 #[tokio::test]
-async fn what_is_stored_is_found_by_all_who_open_the_place() {
+async fn stored_objects_are_found_by_every_store_at_the_location() {
     let folder = tempfile::tempdir().unwrap();
     let on_disk = folder.path().to_str().unwrap().to_owned();
     for place in [Some(on_disk), remote()].into_iter().flatten() {
@@ -98,7 +98,7 @@ async fn is_all_there(store: &Store, id: &str, name: &str) {
 }
 
 #[tokio::test]
-async fn only_a_place_with_a_store_is_one_that_exists() {
+async fn an_existing_store_is_required_where_none_may_be_created() {
     let folder = tempfile::tempdir().unwrap();
     let missing = folder.path().join("missing");
     let on_disk = missing.to_str().unwrap().to_owned();
@@ -112,7 +112,7 @@ async fn only_a_place_with_a_store_is_one_that_exists() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
-async fn of_many_who_create_the_same_generation_one_wins() {
+async fn one_of_many_writers_of_a_generation_wins() {
     let (_folder, on_disk) = folder().await;
     let mut stores = vec![Store::in_memory(), on_disk];
     if let Some(place) = remote() {
@@ -150,14 +150,14 @@ fn objects(folder: &Path) -> Vec<PathBuf> {
 }
 
 #[tokio::test]
-async fn flipped_bits_and_cut_files_are_found_and_named() {
+async fn flipped_bits_and_truncated_files_are_found_and_named() {
     let (folder, store) = folder().await;
     let id = filled(&store).await;
     let mut kinds = BTreeSet::new();
     for path in objects(folder.path()) {
         let name = path.strip_prefix(folder.path()).unwrap().to_str().unwrap().to_owned();
         let kind = name.split('/').next().unwrap().to_owned();
-        // The former identifies the store, and the content of the latter does not matter.
+        // `format` identifies the folder, a grant is empty.
         if kind == "format" || kind == "grant" {
             continue;
         }
@@ -200,7 +200,7 @@ async fn flipped_bits_and_cut_files_are_found_and_named() {
 }
 
 #[tokio::test]
-async fn a_collection_removes_what_nobody_can_reach_and_old_enough() {
+async fn a_collection_removes_unreachable_objects_that_are_old_enough() {
     let (folder, store) = folder().await;
     fs::create_dir(folder.path().join("blob")).unwrap();
     fs::write(folder.path().join("blob").join("staged#1"), b"half").unwrap();
@@ -236,7 +236,7 @@ async fn collects(store: &Store, blobs: usize) {
 
 const PLACE: &str = "MOLDLINE_TEST_STORE";
 
-/// The same test binary as another process that runs one test only.
+/// This test binary as another process that runs one test only.
 fn child(test: &str, place: &Path, shell: &str) -> Command {
     let mut command = Command::new("sh");
     let binary = std::env::current_exe().unwrap();
@@ -245,7 +245,7 @@ fn child(test: &str, place: &Path, shell: &str) -> Command {
     command
 }
 
-/// Not a test by itself: the process that is killed. Prints what has been acknowledged.
+/// Not a test by itself: the process to be killed. It prints what has been acknowledged.
 #[tokio::test]
 async fn a_process_that_writes() {
     let Ok(place) = std::env::var(PLACE) else { return };
@@ -266,12 +266,13 @@ async fn a_process_that_writes() {
 }
 
 #[tokio::test]
-async fn what_was_acknowledged_survives_kill_9_and_what_was_half_written_is_never_seen() {
+async fn acknowledged_objects_survive_sigkill_and_partial_ones_are_never_visible() {
     let (folder, store) = folder().await;
     let mut acknowledged = 0;
     for round in 0..6 {
         let mut children: Vec<_> =
             (0..2).map(|_| child("a_process_that_writes", folder.path(), "").spawn().unwrap()).collect();
+        // The processes are killed at another moment of their work in each round.
         std::thread::sleep(Duration::from_millis(300 + 70 * round));
         children.iter_mut().for_each(|child| child.kill().unwrap());
         for mut child in children {
@@ -322,10 +323,10 @@ async fn a_process_without_space() {
 
 #[cfg(unix)]
 #[tokio::test]
-async fn a_full_disk_is_said_and_leaves_nothing_behind() {
+async fn a_full_disk_is_reported_and_leaves_nothing_behind() {
     let (folder, store) = folder().await;
     let id = filled(&store).await;
-    // Writing beyond the limit then fails as on a full disk, instead of ending the process.
+    // Without the signal, writing beyond the limit fails as on a full disk instead of ending the process.
     let limited =
         child("a_process_without_space", folder.path(), "trap '' XFSZ; ulimit -f 16;").output().unwrap();
     let text = String::from_utf8(limited.stdout).unwrap();
@@ -336,7 +337,7 @@ async fn a_full_disk_is_said_and_leaves_nothing_behind() {
 }
 
 #[tokio::test]
-async fn places_that_are_none_are_refused() {
+async fn invalid_locations_are_rejected() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("file");
     fs::write(&file, b"").unwrap();
