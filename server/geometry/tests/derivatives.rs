@@ -95,8 +95,11 @@ fn distance_normal_and_parameters_change_as_differences_do() {
             let steps = [-2.0 * h, -h, h, 2.0 * h].map(|t| {
                 SignedDistance::new(&moved(&b, &direction, t)).eval_near(&(x + dx * t), &value.foot.location)
             });
+            // At a collapsed side control points that coincide move apart, and the foot point may jump between them.
             let same = |p: &SignedDistancePoint| {
-                p.foot.feature == value.foot.feature && p.foot.location.patch == value.foot.location.patch
+                let (here, there) = (p.foot.location, value.foot.location);
+                let jump = (here.u - there.u).abs().max((here.v - there.v).abs());
+                p.foot.feature == value.foot.feature && here.patch == there.patch && jump < 0.1
             };
             if !steps.iter().all(same) || value.phi.abs() < 1e-3 {
                 continue;

@@ -187,12 +187,14 @@ fn refuses_planes_and_coincident_centres() {
 #[test]
 fn a_pivot_that_is_not_positive_is_reported_with_the_measured_distance() {
     let mut near = scattered(20, 7);
-    // Not the same, but r^3 vanishes beside the rounding of the other entries.
-    near.push(near[3] + Vector3::new(1e-9, 0.0, 0.0));
-    let error = RadialBasis::new(Kernel::Cubic, &near, 0.0).unwrap_err();
-    let RbfError::NotPositiveDefinite { centre: 20, nearest: 3, distance } = error else {
+    // Distinct neighbours, whose pivots are rounding, positive or negative.
+    near.extend_from_within(..);
+    near[20..].iter_mut().for_each(|centre| centre.x += 1e-9);
+    let error = RadialBasis::new(Kernel::Cubic, &near, 0.0).map(drop).unwrap_err();
+    let RbfError::NotPositiveDefinite { centre, nearest, distance } = error else {
         panic!("{error:?}");
     };
+    assert_eq!(centre, nearest + 20, "{error}");
     assert!((distance - 1e-9).abs() < 1e-14, "{error}");
     assert!(RadialBasis::new(Kernel::Cubic, &near, 1e-6).is_ok());
 }
