@@ -2,12 +2,12 @@
 
 use std::fmt;
 
+use moldline_foundation::{Class, Failure};
 use moldline_geometry::ComponentError;
 use moldline_mesh::{MeshError, symmetry::SymmetryError};
 use moldline_parameterisation::{DesignError, ParameterisationError};
+use moldline_rbf::RbfError;
 use thiserror::Error;
-
-use crate::rbf::RbfError;
 
 /// Number of offending vertices that an error lists.
 pub const LISTED: usize = 20;
@@ -371,4 +371,71 @@ pub enum DeformError {
     /// The caller has cancelled.
     #[error("cancelled")]
     Cancelled,
+}
+
+impl Failure for SetupError {
+    fn class(&self) -> Class {
+        match self {
+            Self::Cancelled => Class::Cancelled,
+            _ => Class::Input,
+        }
+    }
+
+    fn field(&self) -> Option<String> {
+        Some(match self {
+            Self::Cancelled => return None,
+            Self::Option { field, .. } | Self::UnknownName { field, .. } => format!("options.{field}"),
+            Self::NotSymmetric(_) => "options.symmetric".to_owned(),
+            Self::NoComponents
+            | Self::DuplicateComponent { .. }
+            | Self::Baseline(_)
+            | Self::ControlPoints(_) => "components".to_owned(),
+            Self::Component { index, .. } | Self::UnusedComponent { index, .. } => {
+                format!("components[{index}]")
+            }
+            Self::Parameterisation(error) => return error.field(),
+            Self::Factorisation { field, .. } => field.clone(),
+            Self::Output { name, .. } => format!("outputs[\"{name}\"]"),
+            Self::Mesh(error) => return error.field().map(|field| format!("mesh.{field}")),
+            Self::OffSurface { worst, .. } => match worst.first() {
+                Some(worst) => format!("mesh.vertices[{}]", worst.vertex),
+                None => "mesh.vertices".to_owned(),
+            },
+            Self::CellAcrossSeam { first, .. } => match first.first() {
+                Some(cell) => format!("mesh.cells[{cell}]"),
+                None => "mesh.cells".to_owned(),
+            },
+            Self::TangentSeam { vertex, .. }
+            | Self::HeldSeam { vertex, .. }
+            | Self::SeamAtEnd { vertex, .. }
+            | Self::SeamSides { vertex, .. } => format!("mesh.vertices[{vertex}]"),
+            Self::OpenMesh { .. } | Self::NonManifold { .. } | Self::ReferenceSeam(_) => "mesh".to_owned(),
+        })
+    }
+}
+
+impl Failure for DeformError {
+    fn class(&self) -> Class {
+        match self {
+            Self::Design(_) | Self::ControlPoints(_) | Self::SeedSize { .. } => Class::Input,
+            Self::SeamLost { .. }
+            | Self::NotProjected { .. }
+            | Self::Held { .. }
+            | Self::FootPoint { .. } => Class::Computation,
+            Self::Cancelled => Class::Cancelled,
+        }
+    }
+
+    fn field(&self) -> Option<String> {
+        Some(match self {
+            Self::Design(error) => return error.field(),
+            Self::Cancelled => return None,
+            Self::ControlPoints(_) => "control_points".to_owned(),
+            Self::SeamLost { .. }
+            | Self::NotProjected { .. }
+            | Self::Held { .. }
+            | Self::FootPoint { .. } => "design".to_owned(),
+            Self::SeedSize { index, what, .. } => format!("{what}[{index}]"),
+        })
+    }
 }

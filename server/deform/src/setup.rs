@@ -5,6 +5,7 @@ use std::sync::Arc;
 use moldline_geometry::{Aabb, Body, Component, Location, SmoothUnion};
 use moldline_mesh::{SurfaceMesh, Topology};
 use moldline_parameterisation::Parameterisation;
+use moldline_rbf::Factors;
 use moldline_spline::Vector3;
 
 use crate::{
@@ -26,7 +27,6 @@ use crate::{
     constraints::{Constraints, in_groups},
     inspection::Inspection,
     ownership::{Ownership, OwnershipParts},
-    rbf::Factors,
     report::{self, Findings, SetupReport},
     symmetry::{InPlane, MeshSymmetry},
 };

@@ -35,7 +35,7 @@ fn bodies(setup: &Setup, values: &[(&str, f64)]) -> Vec<Body> {
     setup.bodies(&setup.parameterisation().control_points(&design).unwrap()).unwrap()
 }
 
-/// Largest distance of any vertex from a component it lies on, by the global search, relative to the reference length.
+/// Largest distance of any vertex from one of its components, by the global search, relative to the reference length.
 fn largest_distance(setup: &Setup, deformation: &Deformation, bodies: &[Body]) -> f64 {
     let vertices = 0..deformation.vertices.len() as u32;
     let worst = vertices.map(|v| {
@@ -180,7 +180,7 @@ fn other_propagations_and_kernels_end_on_the_components_too() {
     for (propagation, kernel) in [
         (Propagation::Absolute, Kernel::Cubic),
         (Propagation::Departure, Kernel::Cubic),
-        (Propagation::Departure, Kernel::Linear),
+        (Propagation::Departure, Kernel::Multiquadric),
         (Propagation::Surface, Kernel::Cubic),
     ] {
         let mut content = content("examples/e175/setup-motions.toml");
@@ -307,7 +307,7 @@ fn stationary_vertices_that_their_component_leaves_are_named() {
     }
     let error = deform(&setup, &[("wing.rotation", 1.0)]).unwrap_err();
     let DeformError::Held { constraint, count, worst, .. } = &error else { panic!("{error}") };
-    // The flat caps slide in their own plane: what lies inside them is still on the wing.
+    // The flat caps slide in their own plane: vertices inside them remain on the wing.
     assert!(
         *constraint == Constraint::Stationary && *count > tips.len() / 2 && *count < tips.len(),
         "{error}"

@@ -1,24 +1,20 @@
-//! Requested designs, their linearisations, and products with them: what a request holds is checked and handed to the engine.
+//! A requested design, its linearisation, and products with it: requests are checked and handed to the engine.
 
 use std::{collections::BTreeMap, sync::Arc};
 
 use moldline_deform::{Deformation, Direction, Inputs, Linearisation, Monitor, Setup, Stage, Tangent};
+use moldline_host::{ServiceError, Timing, shorten};
 use moldline_parameterisation::{ControlPoints, Override, Parameterisation};
 use moldline_store::Numbers;
 
-use crate::{
-    error::{ServiceError, shorten},
-    limits::Limits,
-    service::Timing,
-    setups::SetupId,
-};
+use crate::{limits::Limits, setup_id::SetupId};
 
-/// What to deform to.
+/// A design: the input of a deformation.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Design {
     /// Values of the design variables.
     pub values: Values,
-    /// Control points from outside, in place of what the values make of a component: its name and its points, metres.
+    /// Given control points of components, in place of those of the design variables: name and points, m.
     pub control_points: Vec<(String, Vec<[f64; 3]>)>,
 }
 
@@ -46,16 +42,16 @@ pub struct ControlPointVectors {
     pub vectors: Vec<Vec<[f64; 3]>>,
 }
 
-/// Directions of the inputs; what is absent is zero. Parts that are given have as many directions.
+/// Directions of the inputs; absent parts are zero, and all given parts have the same number of directions.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Directions {
     /// Of the design variables, each entry in its variable's unit.
     pub design: Option<Vec<Vec<f64>>>,
-    /// Of the control points of some components, on top of what the design does to them.
+    /// Of the control points of some components, in addition to the changes that the design causes.
     pub control_points: Vec<ControlPointVectors>,
 }
 
-/// Weights of the outputs; what is absent is zero. Parts that are given have as many.
+/// Weights of the outputs; absent parts are zero, and all given parts have the same number of seeds.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Seeds {
     /// Of the vertices, per metre.
@@ -64,7 +60,7 @@ pub struct Seeds {
     pub functions: Option<Vec<Vec<f64>>>,
 }
 
-/// Inputs by which gradients are wanted.
+/// Inputs with respect to which gradients are requested.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Wanted {
     /// The design variables.
@@ -76,13 +72,13 @@ pub struct Wanted {
 /// Gradients of some seeds.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Gradients {
-    /// By the design variables, per unit of each, if wanted.
+    /// With respect to the design variables, per unit of each, if requested.
     pub design: Option<Vec<Vec<f64>>>,
-    /// By control points, in the order in which they were wanted.
+    /// With respect to control points, in the requested order.
     pub control_points: Vec<ControlPointVectors>,
 }
 
-/// A design that has been checked, before it takes a place in the queue.
+/// A validated design, before it enters the queue.
 pub(crate) struct Resolved(Inputs);
 
 impl Resolved {
@@ -100,12 +96,12 @@ impl Resolved {
         Ok(Self(Inputs { design: vector, given: overrides.collect::<Result<_, ServiceError>>()? }))
     }
 
-    /// The values alone.
+    /// Values of all variables.
     pub fn into_vector(self) -> Vec<f64> {
         self.0.design
     }
 
-    /// As it is stored: the variables, and the coordinates of control points that were given.
+    /// Its stored form: the variables, and the coordinates of given control points.
     pub fn numbers(&self, parameterisation: &Parameterisation) -> (Numbers, Vec<(String, Numbers)>) {
         let given = self.0.given.iter().map(|Override { component, control_points }| {
             let name = parameterisation.components()[*component].clone();
@@ -114,7 +110,7 @@ impl Resolved {
         (Numbers(self.0.design.clone()), given.collect())
     }
 
-    /// A name for (set-up, design): the same for the same, on any server.
+    /// The id of (set-up, design), the same on every server.
     pub fn id(&self, setup: &SetupId) -> String {
         let mut hasher = blake3::Hasher::new();
         hasher.update(setup.as_str().as_bytes());
@@ -130,7 +126,7 @@ impl Resolved {
         hasher.finalize().to_hex().to_string()
     }
 
-    /// Deforms, and keeps what products need.
+    /// Deforms and linearises.
     pub fn linearise(
         self,
         id: String,
@@ -149,12 +145,12 @@ pub struct Linearised {
     id: String,
     setup_id: SetupId,
     engine: Linearisation,
-    /// Of the deformation.
+    /// Time of the deformation.
     timing: Timing,
 }
 
 impl Linearised {
-    /// Names set-up and design in requests for derivatives.
+    /// Id of set-up and design in requests for derivatives.
     pub fn id(&self) -> &str {
         &self.id
     }
@@ -169,27 +165,27 @@ impl Linearised {
         self.engine.deformation()
     }
 
-    /// How long it took to make.
+    /// Time that it took to compute.
     pub fn timing(&self) -> Timing {
         self.timing
     }
 
-    /// The same, with how long it took.
+    /// Sets the time that it took.
     pub(crate) fn taking(self, timing: Timing) -> Self {
         Self { timing, ..self }
     }
 
-    /// How many design variables there are: columns of the Jacobian.
+    /// Number of design variables: columns of the Jacobian.
     pub fn columns(&self) -> usize {
         self.engine.design().len()
     }
 
-    /// Bytes that it holds besides the set-up.
+    /// Its size without the set-up, bytes.
     pub fn bytes(&self) -> usize {
         self.engine.bytes()
     }
 
-    /// Bytes of one vector for all vertices and control points.
+    /// Size of one vector for all vertices and control points, bytes.
     pub(crate) fn vector_bytes(&self) -> usize {
         vector_bytes(self.engine.setup())
     }
@@ -210,7 +206,7 @@ impl Linearised {
         Ok(self.engine.jvp_inputs(&directions.0)?)
     }
 
-    /// Gradients with respect to what is wanted.
+    /// Gradients with respect to the requested inputs.
     pub(crate) fn vjp(&self, seeds: &[Tangent], wanted: &CheckedWanted) -> Result<Gradients, ServiceError> {
         let (design, all): (Option<Vec<_>>, Vec<ControlPoints>) = if wanted.design {
             let gradients = self.engine.vjp(seeds)?.into_iter();
@@ -228,12 +224,12 @@ impl Linearised {
     }
 }
 
-/// Directions that fit the set-up.
+/// Directions that have been checked against the set-up.
 pub(crate) struct CheckedDirections(Vec<Direction>);
 
 impl Directions {
     /// # Errors
-    /// `InvalidArgument` naming what does not fit.
+    /// `InvalidArgument` naming the invalid field.
     pub(crate) fn check(self, setup: &Setup, limits: &Limits) -> Result<CheckedDirections, ServiceError> {
         let parameterisation = setup.parameterisation();
         let mut count = Count::new(setup, limits);
@@ -271,7 +267,7 @@ impl Directions {
 
 impl Seeds {
     /// # Errors
-    /// `InvalidArgument` naming what does not fit.
+    /// `InvalidArgument` naming the invalid field.
     pub(crate) fn check(self, setup: &Setup, limits: &Limits) -> Result<Vec<Tangent>, ServiceError> {
         let (vertices, functions) = (setup.mesh().vertices.len(), setup.functions().len());
         let mut count = Count::new(setup, limits);
@@ -291,7 +287,7 @@ impl Seeds {
     }
 }
 
-/// What is wanted, by index.
+/// Requested gradients, by index.
 pub(crate) struct CheckedWanted {
     design: bool,
     control_points: Vec<usize>,
@@ -299,7 +295,7 @@ pub(crate) struct CheckedWanted {
 
 impl Wanted {
     /// # Errors
-    /// `InvalidArgument` if nothing is wanted, or of a component that there is not.
+    /// `InvalidArgument` if nothing is requested, or for an unknown component.
     pub(crate) fn check(self, parameterisation: &Parameterisation) -> Result<CheckedWanted, ServiceError> {
         let mut control_points = Vec::with_capacity(self.control_points.len());
         for name in &self.control_points {
@@ -320,12 +316,12 @@ impl Wanted {
     }
 }
 
-/// How many vectors the parts of a request have.
+/// The number of vectors in each part of a request.
 struct Count<'a> {
     limits: &'a Limits,
-    /// Of one vector.
+    /// Size of one vector.
     bytes: usize,
-    /// Of the parts so far, and the first one's name.
+    /// Number of vectors in the parts so far, and the name of the first part.
     known: Option<(String, usize)>,
 }
 

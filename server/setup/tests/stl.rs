@@ -32,7 +32,7 @@ fn bodies(setup: &Setup, values: &[(&str, f64)]) -> Vec<Body> {
     setup.bodies(&setup.parameterisation().control_points(&design).unwrap()).unwrap()
 }
 
-/// Largest distance of any vertex from a component it lies on, by the global search, relative to the reference length.
+/// Largest distance of any vertex from one of its components, by the global search, relative to the reference length.
 fn largest_distance(setup: &Setup, deformation: &Deformation, bodies: &[Body]) -> f64 {
     let vertices = 0..deformation.vertices.len() as u32;
     let worst = vertices.map(|v| {
@@ -47,7 +47,7 @@ fn largest_distance(setup: &Setup, deformation: &Deformation, bodies: &[Body]) -
 fn a_set_up_folder_may_hold_its_mesh_as_stl() {
     let original = content("tests/configurations/boom");
     let mesh = &original.input.mesh;
-    // ASCII, 17 digits: what a triangulation program writes, corners apart.
+    // ASCII with 17 digits, each triangle with its own corners, as triangulation programs write it.
     let mut stl = String::from("solid boom\n");
     for cell in &mesh.cells {
         stl += "facet normal 0 0 0\nouter loop\n";

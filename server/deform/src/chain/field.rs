@@ -11,12 +11,10 @@ use moldline_geometry::{
     block::{add_row, add_vector},
 };
 use moldline_mesh::Plane;
+use moldline_rbf::{Factors, Kernel, RadialBasis, RbfError};
 use moldline_spline::Vector3;
 
-use crate::{
-    chart::Chart,
-    rbf::{Factors, Kernel, RadialBasis, RbfError},
-};
+use crate::chart::Chart;
 use training::TrainingVertex;
 
 /// The mirror that completes a half model.
@@ -48,7 +46,7 @@ impl Field {
     /// Factors in `found` are taken if they are those of this system.
     ///
     /// # Errors
-    /// [`RbfError`] if the training vertices coincide or lie in one plane.
+    /// [`RbfError`] if the system of the training vertices cannot be factorised.
     pub fn new(
         training: Vec<TrainingVertex>,
         reference: &[Vector3],
@@ -101,9 +99,9 @@ impl Field {
         &self.mirror_signs
     }
 
-    /// c^2 of the linear kernel, in units of the extent of the centres.
-    pub fn rounding(&self) -> f64 {
-        self.basis.rounding()
+    /// c^2 of the multiquadric, in units of the squared extent of the centres.
+    pub fn shape_squared(&self) -> f64 {
+        self.basis.shape_squared()
     }
 
     /// Bytes held by the factorisation.

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use moldline_geometry::Body;
 use moldline_mesh::{Plane, SurfaceMesh, Topology};
+use moldline_rbf::Factors;
 use moldline_spline::Vector3;
 
 use super::{
@@ -15,7 +16,6 @@ use crate::{
     chain::seams::SeamSolver,
     chart::Chart,
     ownership::{Freedom, Ownership},
-    rbf::Factors,
 };
 
 /// What the fields of a set-up are built from.
