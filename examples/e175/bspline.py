@@ -121,9 +121,7 @@ class Patch:
         self.control_points = np.asarray(self.control_points, float)
         expected = (len(self.knots_u) - self.degree_u - 1, len(self.knots_v) - self.degree_v - 1, 3)
         if self.control_points.shape != expected:
-            raise ValueError(
-                f"{self.name}: control points are {self.control_points.shape}, the knots ask for {expected}"
-            )
+            raise ValueError(f"{self.name}: control points are {self.control_points.shape}, the knots need {expected}")
 
     @property
     def domain(self):

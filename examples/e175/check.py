@@ -1,4 +1,4 @@
-"""Checks of the geometry and the mesh, gathered in one report: what was asked for and what came out."""
+"""Checks of the geometry and the mesh, gathered in one report: measures specified and obtained."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def planform(wing: Component):
 
 
 def measures(components):
-    """Rows (name, asked, got) of the published measures."""
+    """Rows (name, specified, obtained) of the published measures."""
     fuselage, wing, tail = components
     body = fuselage.patches[0]
     grid = np.meshgrid(np.linspace(0, 1, 1601), np.linspace(0, 1, 129), indexing="ij")
@@ -91,7 +91,7 @@ def _leaves_body(wing, body, u, start):
 
 
 def root_clearance(components):
-    """Least depth of the wing's centre section inside the fuselage (m) for the motions the mesh is to follow.
+    """Least depth of the wing's centre section inside the fuselage (m) for the motions that the mesh must follow.
 
     A negative depth would mean that the wing comes through the belly, and the seam would change its topology.
     """
@@ -235,7 +235,7 @@ def gmsh_check(path: Path, components, mesh: Mesh):
 
 
 def report(components, mesh: Mesh, path: Path):
-    """Everything, as a dictionary for report.json."""
+    """All checks, as a dictionary for report.json."""
     result = dict(
         measures=measures(components),
         root_clearance=root_clearance(components),

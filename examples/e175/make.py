@@ -23,7 +23,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--cells", type=int, default=15000, help="cells of the whole mesh, about (default 15000)")
     parser.add_argument("--out", type=Path, default=HERE, help="folder to write to (default: the example's own)")
-    parser.add_argument("--verbose", action="store_true", help="tell how the mesh optimisation goes")
+    parser.add_argument("--verbose", action="store_true", help="report the progress of the mesh optimisation")
     arguments = parser.parse_args()
 
     start = time.perf_counter()

@@ -24,7 +24,7 @@ from moldline.panel import Configuration, Reference
 from numpy.typing import NDArray
 
 HERE = Path(__file__).resolve().parent
-#: Of the baseline: wing area, mean aerodynamic chord, span; moments about a point near the centre of gravity.
+#: Reference values of the baseline: wing area, mean aerodynamic chord, span; moment centre near the centre of gravity.
 E175 = Reference(area=68.2, chord=3.42, span=23.82, point=(14.0, 0.0, 0.95))
 
 Array = NDArray[np.float64]
@@ -50,7 +50,7 @@ class Chain:
         return self._at(design)[2]
 
     def gradients(self, design: Array) -> Array:
-        """Rows of derivatives by the design variables: two calls, however many variables and coefficients there are."""
+        """Derivatives with respect to the design variables, a row for each coefficient: two calls, whatever the numbers."""
         deformation, analysis, _ = self._at(design)
         seeds = {name: np.eye(len(self.coefficients))[row] for row, name in enumerate(self.coefficients)}
         by_vertices = self.configuration.vjp(seeds, at=analysis).vertices

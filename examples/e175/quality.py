@@ -52,7 +52,7 @@ def corner_angles(vertices, cells):
 
 
 def summary(vertices, cells):
-    """The figures of a set of cells that the report prints."""
+    """Statistics of a set of cells for the report."""
     aspect, ratio = aspect_ratio(vertices, cells), edge_ratio(vertices, cells)
     angles = corner_angles(vertices, cells)
     spread = lambda x: {f"p{p}": float(np.percentile(x, p)) for p in (50, 95, 99)} | {"max": float(x.max())}

@@ -226,7 +226,7 @@ def _split_flat(vertices, cells, cell_piece, limit=130.0):
 
 
 def check(components, mesh: Mesh, half: bool):
-    """Largest distance of vertices to every component they belong to, and the counts that the readme states."""
+    """Largest distance of vertices from the components that they belong to, and the counts in the readme."""
     uses = np.stack(
         [
             np.bincount(mesh.cells[mesh.owner == k].ravel(), minlength=len(mesh.vertices)) > 0

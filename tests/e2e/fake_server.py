@@ -97,7 +97,7 @@ class FakeServer(mesh_service_pb2_grpc.MeshServiceServicer, panel_service_pb2_gr
         return wire.UpdateSessionResponse(session=wire.Session(session_id=request.session_id, generation=generation))
 
     def Jacobian(self, request: Any, context: grpc.ServicerContext) -> Iterator[Any]:
-        """One column a message; a refusal comes after the second one."""
+        """One column for each message; a refusal comes after the second one."""
         self._came(request, context)
         refused = self.refusals.pop(0) if self.refusals else None
         for column in range(VARIABLES):

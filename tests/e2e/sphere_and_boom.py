@@ -89,7 +89,7 @@ def write(
     length: float = 2.5,
     change: Callable[[dict[str, Any], np.ndarray, list[list[int]]], None] = lambda document, vertices, cells: None,
 ) -> Path:
-    """Writes the set-up as JSON with a Gmsh 2.2 mesh. `change` may spoil document, vertices and cells before."""
+    """Writes the set-up as JSON with a Gmsh 2.2 mesh. `change` may spoil document, vertices and cells first."""
     folder.mkdir(parents=True, exist_ok=True)
     content = document(length)
     vertices, cells = mesh(rings, length)

@@ -1,4 +1,4 @@
-"""Tokens made by the command line, asked for by a real server."""
+"""Authentication by tokens that the command line creates."""
 
 from __future__ import annotations
 

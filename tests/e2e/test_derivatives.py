@@ -1,4 +1,4 @@
-"""Derivatives through a real connection: against each other, against differences, and what is refused."""
+"""Derivatives through a real connection: against each other, against differences, and refusals."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def test_the_jacobian_has_the_products_columns(session: moldline.Session) -> Non
     together = session.jvp(np.eye(variables), at=at)
     assert jacobian.vertices.tobytes() == together.vertices.tobytes()
     assert matrix(jacobian).tobytes() == matrix(together).tobytes()
-    # Alone, the field's sums are in another order.
+    # A single direction sums the field in another order.
     for column, direction in enumerate(np.eye(variables)):
         tangent = session.jvp(direction, at=at)
         assert tangent.vertices.shape == (session.setup.vertex_count, 3)
@@ -140,7 +140,7 @@ def test_one_thread_gives_the_derivatives_of_two(binary: Path, boom: moldline.Se
 
 
 def test_given_control_points_take_the_designs_place(boom: moldline.Session) -> None:
-    """What the design does to a component does not matter where its control points are given."""
+    """The design has no effect on a component whose control points are given."""
     given = {"boom": boom.setup.control_points["boom"] + [0.1, 0.0, 0.05]}
     at = boom.deform(control_points=given)
     gradient = boom.vjp(functions={"enclosed_volume": 1.0}, at=at, control_points=["boom"])
@@ -194,7 +194,7 @@ def test_a_dropped_linearisation_is_said_or_made_again(binary: Path, setup_folde
             (violation,) = refused.value.violations
             assert violation.field == "at.linearisation_id"
             assert "Deform again" in violation.description
-            # With what `deform` returned the client sends the design too.
+            # Given the result of `deform`, the client sends the design too.
             again = session.jvp([1.0, 0.0, 0.0], at=first)
             assert again.vertices.tobytes() == before.vertices.tobytes()
             column = session.jacobian(at=first).vertices[0]

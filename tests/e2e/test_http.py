@@ -1,4 +1,4 @@
-"""HTTP with the tools that people have: requests, numpy, json. The same numbers as over gRPC, to the last bit."""
+"""HTTP with common tools (requests, numpy, json): the same numbers as over gRPC, to the last bit."""
 
 from __future__ import annotations
 
@@ -168,7 +168,7 @@ def test_readiness_goes_before_the_port(binary: Path) -> None:
         while requests.get(f"{at}/readyz", timeout=10).status_code != 503:
             assert time.monotonic() < deadline
             time.sleep(0.02)
-        # Alive all the same, and whoever comes is served.
+        # The server is alive and serves others.
         assert requests.get(f"{at}/healthz", timeout=10).status_code == 200
         assert requests.get(f"{at}/v1/status", timeout=10).status_code == 200
         assert server.wait() == 0

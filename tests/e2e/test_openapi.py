@@ -1,4 +1,4 @@
-"""Requests that schemathesis makes up from the description: none breaks the server, and answers are as described."""
+"""Requests that schemathesis generates from the OpenAPI document: none breaks the server, and answers match it."""
 
 from __future__ import annotations
 

@@ -76,7 +76,7 @@ def test_products_pass_openmdaos_check(session: moldline.Session) -> None:
 
 @pytest.mark.parametrize("mode", ["fwd", "rev"])
 def test_products_by_control_points_pass_openmdaos_check(session: moldline.Session, mode: str) -> None:
-    """A geometry engine of the user's own: it shifts the wing, and gives it dihedral. Patches stay joined."""
+    """A user's own geometry engine: it shifts the wing and gives it dihedral. Patches stay joined."""
     points = session.setup.control_points["wing"]
     shift, dihedral = np.zeros_like(points), np.zeros_like(points)
     shift[:, 0] = 1.0

@@ -58,7 +58,7 @@ def test_a_wing_lifts_as_a_wing_does(panels: moldline.panel.Client, configuratio
     level, raised = configuration.sweep([0.0, 0.05], reference=REFERENCE, mach=0.2, progress=steps.append)
     assert list(dict.fromkeys(step.stage for step in steps)) == ["influence", "factorisation", "solution"]
     assert abs(level.coefficients.lift) < 1e-9
-    # A linear method: the lift is that of the slope, to second order of the angle; and close to what thin wings have.
+    # The method is linear: the lift follows the slope to second order in the angle, and is close to thin-wing theory.
     lift = raised.coefficients.lift
     assert np.isclose(lift, level.coefficients.lift_slope * np.sin(0.05), rtol=2e-3)
     assert 4.0 < lift / 0.05 < 5.2
@@ -174,7 +174,7 @@ def test_faults_are_exceptions_that_name_them(panels: moldline.panel.Client, con
 
 
 def test_what_the_server_has_lost_is_sent_again(binary: Path) -> None:
-    """A server that comes back knows nothing; its client need not care."""
+    """A restarted server has lost everything; the client recovers by itself."""
     with Server(binary, "--threads", "2", command=PANELS) as first:
         address = first.address
         panels = moldline.panel.Client(address)
@@ -216,7 +216,7 @@ def test_a_call_that_is_given_up_stops(panel_server: Server, panels: moldline.pa
     with pytest.raises(GiveUp):
         configuration.analyze(reference=REFERENCE, alpha=0.05, progress=stop)
     assert begun.is_set()
-    # Its place is free for the next.
+    # Its place in the pool is free again.
     small = panels.create_configuration(*wing(12, 4)[:2])
     assert small.analyze(reference=REFERENCE, timeout=60).residual <= 1e-12
 
@@ -253,7 +253,7 @@ def test_the_command_line_gives_the_same_numbers(binary: Path, configuration: Co
 def test_the_chain_of_both_services_is_that_of_differences(
     panels: moldline.panel.Client, client: moldline.Client, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """What the E175 example does, on the coarse mesh."""
+    """The E175 example, on the coarse mesh."""
     e175 = ROOT / "examples/e175"
     monkeypatch.syspath_prepend(str(e175))
     from panel_gradient import E175, Chain, scaled_direction

@@ -1,4 +1,4 @@
-"""What a server tells of itself: numbers, log lines, traces."""
+"""Observability: metrics, log lines, traces."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ EXPORT = "/opentelemetry.proto.collector.trace.v1.TraceService/Export"
 
 @pytest.fixture
 def collector() -> Iterator[tuple[str, queue.Queue[bytes]]]:
-    """A stand-in for an OpenTelemetry collector: keeps what is sent to it."""
+    """A stand-in for an OpenTelemetry collector; it keeps the spans that it receives."""
     received: queue.Queue[bytes] = queue.Queue()
 
     def export(request: bytes, context: grpc.ServicerContext) -> bytes:

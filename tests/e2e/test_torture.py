@@ -1,4 +1,4 @@
-"""The trials of `cargo xtask torture`, small: whether each reaches its goals, apart from those of time."""
+"""Small versions of the trials of `cargo xtask torture`: each must reach its goals, except those of time."""
 
 from __future__ import annotations
 

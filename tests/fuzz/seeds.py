@@ -1,4 +1,4 @@
-"""Writes inputs to begin with, for each target a folder: small files of every kind that it reads, from the repository.
+"""Writes the seed corpus, a folder for each target: small files of every kind that it reads, from the repository.
 
 python tests/fuzz/seeds.py FOLDER
 """

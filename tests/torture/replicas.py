@@ -1,4 +1,4 @@
-"""Servers that come and go while the store stays: one that starts anew, and two at once on an object store."""
+"""Servers that come and go while the store stays: restarts, and two servers on one object store."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ import seaweed
 from server import Server
 from trial import IMPATIENT, PATIENT, Problem, Row, Trial, bar, different, refused
 
-#: Updates of the same generation that are sent at once, and how often.
+#: Concurrent updates of the same generation, and repetitions.
 CONTENDERS = 8
 CONTESTS = 5
 
 
 def restart(trial: Trial) -> list[Row]:
-    """From the start of the process to the first Deform of a set-up that the store has."""
+    """Trial: time from the start of the process to the first Deform of a stored set-up."""
     store = trial.folder / "store"
     with Server(trial.binary, store=store) as server, server.client() as client:
         setup = client.create_setup(trial.scale.setup)
@@ -62,7 +62,7 @@ def restart(trial: Trial) -> list[Row]:
 
 
 def processor_time(server: Server) -> float:
-    """Seconds that the server has computed, on all cores."""
+    """Processor time of the server, s."""
     fields = Path(f"/proc/{server.process.pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
@@ -87,7 +87,7 @@ def replicas(trial: Trial) -> list[Row]:
         designs = []
         with bar("two servers", steps, "steps") as progress:
             for step in range(steps):
-                # What the other server did last is all that this one knows.
+                # This server knows the session from the store only.
                 designs.append(problem.advance(clients[step % 2].resume(session_id)).tobytes())
                 progress.update()
         winners = [contest(clients, session_id) for _ in range(CONTESTS)]
@@ -108,7 +108,7 @@ def replicas(trial: Trial) -> list[Row]:
 
 
 def outage(objects: seaweed.SeaweedFS, server: Server) -> list[Row]:
-    """The object store is killed under a server, and comes back."""
+    """Trial: the object store is killed under a server, and comes back."""
     with server.client(retry=IMPATIENT) as client:
         session = client.resume(client.list_sessions()[0].id)
         expected = session.deform(session.design.design).vertices.tobytes()
@@ -130,7 +130,7 @@ def outage(objects: seaweed.SeaweedFS, server: Server) -> list[Row]:
 
 
 def contest(clients: list[moldline.Client], session_id: str) -> int:
-    """How many of those win who update the same generation at once."""
+    """Number of winners among concurrent updates of one generation."""
     sessions = [clients[number % 2].resume(session_id) for number in range(CONTENDERS)]
 
     def update(number: int) -> bool:

@@ -71,6 +71,8 @@ impl Steps {
 /// Format, compiler, documentation and spelling.
 fn lints(python: &Python, steps: &mut Steps) {
     steps.of(run("cargo fmt --check", cargo().args(["fmt", "--all", "--check"])));
+    let fuzz = ["fmt", "--manifest-path", "tests/fuzz/Cargo.toml", "--check"];
+    steps.of(run("cargo fmt --check on the fuzz targets", cargo().args(fuzz)));
     let clippy = ["clippy", "--locked", "--workspace", "--all-targets", "--", "-D", "warnings"];
     steps.of(run("clippy", cargo().args(clippy)));
     let mut rustdoc = cargo();

@@ -1,4 +1,4 @@
-//! Fuzzing of everything that reads bytes of users.
+//! Fuzzing of everything that reads users' bytes.
 
 use std::{
     fs,
@@ -14,28 +14,28 @@ use crate::{
 
 /// Longest input, bytes.
 const LONGEST: usize = 64 << 10;
-/// Largest piece of memory that may be asked for, and all that the process may have, MiB: the targets' limits are 1 MiB of
-/// files and 10,000 vertices, and the sanitizer keeps 256 MiB of freed memory back.
+/// Largest single allocation and largest resident set, MiB: the targets' limits are 1 MiB of files and 10,000 vertices, and
+/// the sanitizer retains 256 MiB of freed memory.
 const PIECE: usize = 16;
 const MEMORY: usize = 1024;
-/// Seconds that one input may take.
+/// Longest time for one input, s.
 const PATIENCE: usize = 20;
 
-/// How far a target came.
+/// Progress of a target.
 #[derive(Debug, Default)]
 struct Progress {
     executions: String,
-    /// Edges of the program's flow that were seen.
+    /// Covered edges of the control flow.
     coverage: String,
     finding: Option<String>,
 }
 
-/// Runs the targets one after the other for so many seconds each. The corpus in `tests/fuzz/corpus` goes on from run to run.
+/// Runs the targets one after the other, for `seconds` each. The corpus in `tests/fuzz/corpus` grows from run to run.
 pub fn fuzz(seconds: u64, only: &[String]) -> Outcome {
     let tool = tools::FUZZ.ready()?;
     let cargo_fuzz = |verb: &str| {
         let mut command = command(&tool);
-        // The sanitizer is an option of the compiler that only nightly ones take unasked.
+        // The sanitizer is an unstable option of the compiler.
         command.args([verb, "--fuzz-dir", "tests/fuzz"]).env("RUSTC_BOOTSTRAP", "1");
         command
     };
@@ -74,12 +74,12 @@ pub fn fuzz(seconds: u64, only: &[String]) -> Outcome {
     match rows.iter().filter(|(_, progress)| progress.finding.is_some()).count() {
         0 => Ok(()),
         findings => {
-            Err(format!("{findings} targets have findings; the messages above say how to see them again"))
+            Err(format!("{findings} targets have findings; the messages above say how to reproduce them"))
         }
     }
 }
 
-/// Runs a target to its end, and shows what it says.
+/// Runs a target to its end, and passes on its messages.
 fn watch(fuzzing: &mut Command) -> Outcome<Progress> {
     let cannot = |error: std::io::Error| format!("cannot run cargo fuzz: {error}");
     let mut child = fuzzing.stderr(Stdio::piped()).spawn().map_err(cannot)?;

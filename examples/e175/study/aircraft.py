@@ -1,4 +1,4 @@
-"""What the study knows of the E175 besides its surface: weights, balance, drag, fuel, stability.
+"""The study's model of the E175 beyond its surface: weights, balance, drag, fuel, stability.
 
 :func:`analyse` is a plain function of numbers from the two services (wetted areas, planforms, tracked points; lift, drag and
 moment with their slopes) to what the optimizer sees. It takes complex numbers and arrays, so that :func:`derivatives` has
@@ -23,14 +23,14 @@ NAUTICAL_MILE = 1852.0  #: m, exact
 
 
 class Choice(NamedTuple):
-    """A number of the model, and why it is that one."""
+    """A number of the model, and the reason for it."""
 
     value: float
     unit: str
     why: str
 
 
-#: What the paper gives.
+#: Numbers that the paper gives.
 GIVEN = {
     "mach": Choice(0.7, "1", "Sec. V.A"),
     "altitude": Choice(25_000 * FOOT, "m", "25,000 ft, Sec. V.A"),
@@ -39,7 +39,7 @@ GIVEN = {
     "baseline_payload": Choice(22_050 * POUND_FORCE, "N", "Table 2; 22,050 lbf are the weight of 10,000 kg"),
 }
 
-#: What the paper does not give.
+#: Numbers that the paper does not give.
 CHOICES = {
     # weights
     "load_factor": Choice(3.75, "1", "1.5 times the 2.5 that FAR 25.337 asks for"),
@@ -73,8 +73,8 @@ CHOICES = {
         0.0,
         "1",
         "share of the dry engines that is weighed. The paper leaves propulsion out in part (Sec. V.C) and has nacelles "
-        "among its components: its Table 3 and payload leave 27,030 lbf for the empty weight, which is what all regressions give "
-        "without engines; 1 weighs them",
+        "among its components: its Table 3 and payload leave 27,030 lbf for the empty weight, which is what all regressions "
+        "give without engines; 1 weighs them",
     ),
     "systems_weighed": Choice(
         1.0, "1", "share of furnishings, seats, air conditioning, APU, anti-ice, instruments: all of them"
@@ -120,8 +120,8 @@ CHOICES = {
 
 MODEL: dict[str, Choice] = {**GIVEN, **CHOICES}
 
-#: What the panel code divides forces by: the baseline's area and mean chord, and the point that moments are about. These are
-#: fixed, so that its coefficients stand for forces; `analyse` gives coefficients by the current wing.
+#: Reference values of the panel method: the baseline's area and mean chord, and the moment centre. They are fixed, so that
+#: its coefficients stand for forces; `analyse` gives coefficients with respect to the current wing.
 REFERENCE_AREA = 68.2  #: m^2
 REFERENCE_CHORD = 3.42  #: m
 REFERENCE_POINT = (14.0, 0.0, 0.95)  #: m
@@ -145,9 +145,9 @@ GEOMETRY = (
     *("fuselage.barrel_side.y", "fuselage.barrel_top.z", "fuselage.barrel_bottom.z", "fuselage.tail_side.y"),
 )
 
-#: What the panel service gives: coefficients by the reference above and the neutral point. Lift that balances the weight is
-#: that of the circulation, which goes with the induced drag of the Trefftz plane; the moment is that of the pressure, and so
-#: is the normal force that carries it to the centre of gravity.
+#: Results of the panel service: coefficients for the reference above and the neutral point. The lift that balances the
+#: weight is that of the circulation, consistent with the induced drag of the Trefftz plane; the moment is that of the
+#: pressure, and so is the normal force that carries it to the centre of gravity.
 _COEFFICIENTS = ("lift", "induced_drag", "pressure_lift", "pressure_drag", "moment", "neutral_point")
 AERODYNAMICS = tuple(f"flow.{name}" for name in _COEFFICIENTS)
 
@@ -191,7 +191,7 @@ class _Surface(NamedTuple):
 
 
 def _surface(g: Mapping[str, Value], name: str, fractions: Iterable[float]) -> _Surface:
-    """From the tracked points; `fractions`: of chord, of lines whose sweep is wanted."""
+    """Planform from the tracked points; `fractions`: of the chord, for lines whose sweep is computed."""
     at = [[g[f"{name}.{station}_{edge}.x"] for edge in _EDGES] for station in _STATIONS[name]]
     y = [
         (g[f"{name}.{station}_leading_edge.y"] + g[f"{name}.{station}_trailing_edge.y"]) / 2
@@ -225,8 +225,8 @@ def analyse(state: Mapping[str, Value], model: Mapping[str, Value] | None = None
 
     `model`: values of :data:`MODEL` to replace.
 
-    The gross weight is that at which the weights of the components, which depend on it, add up to it. Lift is not made
-    equal to it: that is a constraint of the optimizer's.
+    The gross weight is the fixed point at which the weights of the components, which depend on it, add up to it. Lift equal
+    to weight is a constraint of the optimizer.
     """
     m: dict[str, Value] = {name: choice.value for name, choice in MODEL.items()} | dict(model or {})
     air = standard_air(m["altitude"])
@@ -403,7 +403,7 @@ def analyse(state: Mapping[str, Value], model: Mapping[str, Value] | None = None
 
     # --- balance
     part = m["surface_position"] - 0.25
-    # The middle of the cabin, half of the length: Raymer's Table 15.2 has 0.40 to 0.50 for fuselages and what is in them.
+    # The middle of the cabin, half of the length: Raymer's Table 15.2 has 0.40 to 0.50 for fuselages with contents.
     body = state["fuselage.cabin.x"]
     on_wing = wing.quarter_chord + part * wing.chord
     kink = [state[f"wing.kink_{edge}.x"] for edge in _EDGES]
@@ -466,7 +466,7 @@ BASELINE_VOLUME = 201.35057256999775
 def derivatives(
     state: Mapping[str, float], of: Iterable[str], by: Iterable[str] = INPUTS, model: Mapping[str, float] | None = None
 ) -> dict[str, NDArray[np.float64]]:
-    """Derivatives of results by inputs or by numbers of :data:`MODEL`: for each of `of` an array in the order of `by`.
+    """Derivatives of the results `of` with respect to the inputs or numbers of :data:`MODEL` in `by`, an array each.
 
     By complex steps, which have no truncation and no cancellation; every input is perturbed in an entry of its own.
     """

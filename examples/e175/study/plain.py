@@ -41,7 +41,7 @@ class Point:
         self.results = analyse(self.state)
 
     def gradients(self, of: Sequence[str]) -> Array:
-        """By the design variables, a row for each result."""
+        """Derivatives with respect to the design variables, a row for each result."""
         rows = derivatives(self.state, of)
         by = {name: np.array([rows[result][k] for result in of]) for k, name in enumerate(INPUTS)}
         # Adjoint of the panel service for its six outputs, then of the mesh service for all results at once.

@@ -2,10 +2,10 @@
 
 D. P. Raymer, *Aircraft Design: A Conceptual Approach* (AIAA): weights of cargo and transport aircraft, Eqs. 15.25 to 15.44;
 parasite drag by components, Sec. 12.5. Equation numbers beside the functions are those of the book's second to sixth
-edition. They are power laws of pounds, feet, inches and knots; here these units stay inside the functions. What goes in and
-comes out is SI: metres, newtons, metres per second, radians.
+edition. They are power laws of pounds, feet, inches and knots; here these units stay inside the functions. Arguments and
+results are SI: metres, newtons, metres per second, radians.
 
-All functions take real or complex numbers or arrays of them, so that their derivatives are had by complex steps.
+All functions take real or complex numbers or arrays of them, so that complex steps give their derivatives.
 """
 
 from __future__ import annotations
@@ -212,7 +212,7 @@ def handling_gear_weight(*, gross_weight: Value) -> Value:
 
 
 def friction_coefficient(reynolds: Value, mach: Value) -> Value:
-    """Of a flat plate with turbulent boundary layer (12.27)."""
+    """Friction coefficient of a flat plate with turbulent boundary layer (12.27)."""
     return 0.455 / (np.log10(reynolds) ** 2.58 * (1 + 0.144 * mach**2) ** 0.65)
 
 
@@ -224,12 +224,12 @@ def surface_form_factor(*, thickness: Value, thickest: Value, mach: Value, sweep
 
 
 def body_form_factor(fineness: Value) -> Value:
-    """Of fuselages (12.31), by length over diameter."""
+    """Form factor of fuselages (12.31); the argument is length over diameter."""
     return 1 + 60 / fineness**3 + fineness / 400
 
 
 def nacelle_form_factor(fineness: Value) -> Value:
-    """Of nacelles and smooth stores (12.32)."""
+    """Form factor of nacelles and smooth stores (12.32)."""
     return 1 + 0.35 / fineness
 
 

@@ -79,7 +79,7 @@ def table_3(result: Mapping[str, Any]) -> list[tuple[str, ...]]:
 
 
 def text(result: Mapping[str, Any]) -> str:
-    """For a terminal."""
+    """The results as text for a terminal."""
     rows = table_3(result)
     widths = [max(len(row[k]) for row in rows) + 2 for k in range(len(rows[0]))]
     lines = [
@@ -144,7 +144,7 @@ def write(out: Path, result: Mapping[str, Any], shapes: Mapping[str, Shape]) -> 
 
 
 def _choices(result: Mapping[str, Any]) -> str:
-    """What the paper does not give, with the dependence of the fuel on it."""
+    """Numbers that the paper does not give, with the sensitivity of the fuel to them."""
     by = {name: {row["name"]: row for row in problem["sensitivities"]} for name, problem in result["problems"].items()}
     last = next(reversed(by.values()))
     order = sorted(aircraft.CHOICES, key=lambda name: -abs(last[name]["optimum"]))

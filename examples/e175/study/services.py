@@ -1,4 +1,4 @@
-"""The two services that the study asks, started for it."""
+"""The two services of the study, started for it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from demo import Server  # noqa: E402  # the demo's
 
 Array = NDArray[np.float64]
 
-#: What the panel service is told to divide by; the span is that of moments that the study has no use for.
+#: Reference values for the panel service; the span is that of moments which the study does not use.
 REFERENCE = moldline.panel.Reference(
     area=aircraft.REFERENCE_AREA, chord=aircraft.REFERENCE_CHORD, span=23.82, point=aircraft.REFERENCE_POINT
 )

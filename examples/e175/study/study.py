@@ -1,8 +1,8 @@
 """The fuel-burn study: both problems of the paper's Sec. V on a mesh service and a panel service.
 
-    python study.py --binary ../../../target/release/moldline --out out     all of it
-    python study.py ... --resume                                            goes on where a killed run was
-    python study.py ... --coarse --iterations 3 --no-pictures               a look at it
+    python study.py --binary ../../../target/release/moldline --out out     both problems
+    python study.py ... --resume                                            continues a killed run
+    python study.py ... --coarse --iterations 3 --no-pictures               a quick look
 
 Writes report.json, report.html with its pictures, and for each problem the record of its evaluations.
 """
@@ -35,7 +35,7 @@ HERE = Path(__file__).resolve().parent
 Array = NDArray[np.float64]
 
 
-#: What is optimised anew with another choice, on the coarse mesh: the choices that matter most.
+#: The choices that matter most, varied on the coarse mesh.
 VARIANTS: dict[str, dict[str, float]] = {
     "as it is": {},
     "engines weighed": {"engines_weighed": 1.0},
@@ -107,7 +107,7 @@ def solve(
 
 
 def check_derivatives(study: Study, x: Array, step: float = 1e-3) -> dict[str, float]:
-    """Largest error of the derivatives of each response by all variables, over the largest derivative of the response.
+    """Largest error of each response's derivatives with respect to all variables, over its largest derivative.
 
     Against central differences of fourth order through both services; `step` of half a variable's range.
     """
@@ -128,7 +128,7 @@ def check_derivatives(study: Study, x: Array, step: float = 1e-3) -> dict[str, f
 
 
 def sensitivities(study: Study, iterates: list[slsqp.Iterate]) -> list[dict[str, Any]]:
-    """How fuel depends on what the model chooses: relative change for a relative change of each number.
+    """Sensitivity of the fuel to the model's choices: relative change for a relative change of each number.
 
     Of the trimmed baseline, and of the optimum, where lift, moment and the active constraints are kept: the derivative of
     the optimum is that of the Lagrangian. Numbers that are zero are changed by one.
@@ -175,7 +175,7 @@ def summary(iterate: slsqp.Iterate, names: list[str], variables: list[str]) -> d
 
 
 def shape(session: moldline.Session, flow: Aerodynamics, iterate: slsqp.Iterate) -> report.Shape:
-    """What there is to draw of an iterate."""
+    """An iterate for the figures."""
     notes = iterate.notes["values"]
     vertices = session.deform(np.array(notes["design"])).vertices
     mesh = session.setup.mesh
@@ -209,7 +209,7 @@ def variants(binary: Path, out: Path, *, iterations: int, resume: bool) -> list[
 
 
 def goals(problems: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """What the study is to reach, and whether it does."""
+    """The study's goals, and whether they are reached."""
     rows: list[dict[str, Any]] = []
 
     def goal(name: str, value: float, least: float, most: float, unit: str = "1") -> None:

@@ -15,7 +15,7 @@ TABLE_3 = ((288_800, 70_400, 740, 90), (293_000, 57_600, 658, 100), (294_500, 58
 
 @pytest.fixture
 def state() -> dict[str, float]:
-    """About the baseline in level flight."""
+    """Approximately the baseline in level flight."""
     stations = {
         "wing": {"root": (10.882, 16.326, 0.0), "kink": (13.508, 16.421, 4.8635), "tip": (17.314, 18.314, 11.9106)},
         "htail": {"root": (26.0, 29.534, 0.0), "tip": (29.7, 30.816, 5.0)},

@@ -1,4 +1,4 @@
-"""Raymer's equations against numbers that others have published for theirs, and against arithmetic by hand."""
+"""Raymer's equations against published numbers of other implementations, and against arithmetic by hand."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ class TestSuavesBoeing737:
 
 
 def test_weights_by_hand() -> None:
-    """What SUAVE does otherwise: powers of numbers whose roots are known."""
+    """Where SUAVE differs: powers of numbers whose roots are known."""
     controls = raymer.flight_controls_weight(
         gross_weight=1e4 * POUND_FORCE, functions=1, control_area=32 * FOOT**2, arm=100 / 3 * FOOT
     )

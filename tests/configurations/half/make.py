@@ -1,4 +1,4 @@
-"""A half model, open at the symmetry plane, of patches such as other programs write them; quads and triangles.
+"""A half model, open at the symmetry plane, of patches as other programs write them; quads and triangles.
 
     python make.py        writes geometry/*.json and mesh.msh (MSH 2.2) beside this file
 

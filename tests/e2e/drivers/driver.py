@@ -53,7 +53,7 @@ def access(given: moldline.SetupAccess) -> Fields:
 
 
 def of_functions(values: dict[str, Any]) -> Fields:
-    """In the order of the set-up's, as the last axis."""
+    """Values of the functions, in the order of the set-up, along the last axis."""
     return array(np.stack(list(values.values()), axis=-1))
 
 
@@ -459,7 +459,7 @@ async def main() -> None:
             answer = {"error": failed(error)}
         except (Stop, asyncio.CancelledError):
             answer = {"error": {"code": "CANCELLED", "message": "cancelled by the driver", "violations": []}}
-        except Exception as error:  # A fault of the driver or of the arguments: the test shows it.
+        except Exception as error:  # A fault of the driver or of its arguments: the test reports it.
             answer = {"error": {"code": "CLIENT", "message": repr(error), "violations": []}}
         print(json.dumps(answer), flush=True)
 

@@ -1,5 +1,5 @@
-//! An archive of a set-up, of a kind that the first byte chooses: never more than the limits, whatever it says. What it holds is
-//! read as a set-up, with all its files.
+//! An archive of a set-up; the first byte chooses the kind. Unpacking never exceeds the limits, whatever the archive claims. The
+//! files are then read as a set-up.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;

@@ -1,4 +1,4 @@
-//! The body of an HTTP request, of a kind that the first byte chooses: arrays fill their shapes, and the limit holds.
+//! The body of an HTTP request; the first byte chooses the kind. Arrays fill their shapes, and the limit holds.
 #![no_main]
 
 use bytes::Bytes;
@@ -13,7 +13,13 @@ fuzz_target!(|input: &[u8]| {
         0 => json::<Numbers>(&body).map(|numbers| vec![(String::new(), numbers.0)]),
         1 => arrays(Media::Npy, body, "design", None, limit),
         2 => arrays(Media::Npz, body, "design", None, limit),
-        _ => arrays(Media::Octets, body.slice(body.len() / 2..), "design", std::str::from_utf8(&content[..content.len() / 2]).ok(), limit),
+        _ => arrays(
+            Media::Octets,
+            body.slice(body.len() / 2..),
+            "design",
+            std::str::from_utf8(&content[..content.len() / 2]).ok(),
+            limit,
+        ),
     };
     let Ok(read) = read else { return };
     // Plain bytes are compared with their shape later, beside that of messages.

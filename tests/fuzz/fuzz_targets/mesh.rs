@@ -1,4 +1,4 @@
-//! A mesh file, of a kind that the first byte chooses. What is read can be written, and is read again.
+//! A mesh file; the first byte chooses the kind. A mesh that is read can be written and read again.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;

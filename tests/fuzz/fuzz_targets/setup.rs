@@ -1,4 +1,4 @@
-//! A set-up file, TOML or JSON by the first byte: it is read or refused.
+//! A set-up file, TOML or JSON by the first byte: it is read or rejected.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;

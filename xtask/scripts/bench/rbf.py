@@ -1,7 +1,7 @@
 """scipy's side of the interpolation benchmark: `python rbf.py FOLDER`, after the Rust side has written its data there.
 
-Evaluates the same cubic interpolant with scipy's RBFInterpolator, its coefficients at hand, and prints one JSON object:
-the median seconds of an evaluation, and how far the two agree (largest difference over the largest value).
+Evaluates the same cubic interpolant with scipy's RBFInterpolator, whose coefficients are precomputed, and prints one JSON
+object: the median seconds of an evaluation, and how far the two agree (largest difference over the largest value).
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""What a network between engine and user costs: Deform and ApplyAdjoint through a real server, on the E175, with the client
-over gRPC and with plain bytes over HTTP.
+"""Overhead of the network: Deform and ApplyAdjoint through a real server, on the E175, with the client over gRPC and with
+plain bytes over HTTP.
 
     python round_trip.py --binary target/release/moldline
 
-One JSON object a line: name, value, unit, goal. A round trip's own time is what the caller waits less what the engine took,
-as the server says.
+One JSON object on each line: name, value, unit, goal. The overhead of a round trip is the caller's time less the engine's
+as the server reports it.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ import numpy as np
 
 E175 = Path(__file__).resolve().parents[3] / "examples/e175"
 REPEATS = 15
-#: Milliseconds less the engine's.
+#: Milliseconds of overhead.
 GOALS = {"Deform": "<= 5", "Deform over HTTP": "<= 5", "Deform + ApplyAdjoint": "<= 10"}
 
 
@@ -59,7 +59,7 @@ def measure(setup: moldline.Setup, address: str) -> None:
             adjoint, _ = timed(lambda result=result: session.vjp(vertices=seed, at=result))
             jacobian, _ = timed(lambda result=result: session.jacobian(at=result))
             over_http = over(http.client.HTTPConnection(address), session.id, design, seed)
-            # The first time everything is slower.
+            # The first call is slower.
             if repeat > 0:
                 rows.setdefault("Deform", []).append(deform)
                 rows.setdefault("ApplyAdjoint, one seed", []).append(adjoint)

@@ -2,8 +2,8 @@
 
     cargo xtask demo
 
-Writes report.json, one .vtu a case and pictures, and prints the quality beside the paper's figures and the goals that
-were missed. It measures and does not judge: a slow machine is no failure.
+Writes report.json, a .vtu file for each case and pictures, and prints the quality beside the paper's figures and the
+missed goals. A missed goal is no failure: machines differ.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ DIAMETERS = {
 #: Points on each of the four ways from corner to corner.
 POINTS = 5
 SEED = 175
-#: Progress bars are for people.
+#: Progress bars need a terminal.
 BARS = sys.stderr.isatty()
 
 
@@ -127,13 +127,13 @@ def setup_folder(setup_file: str, mold_line: str, out: Path, source: Path = E175
     choices = "".join(f"{name} = {value!r}\n" for name, value in options.items())
     text = (E175 / setup_file).read_text()
     if "[options]" in text:
-        raise SystemExit(f"{setup_file} has options of its own; this script would overrule them")
+        raise SystemExit(f"{setup_file} already has [options], which this script would override")
     (folder / "setup.toml").write_text(f'{text}\n[options]\nouter_mold_line = "{mold_line}"\n{choices}')
     return folder
 
 
 def measured(result: moldline.Deformation, length: float) -> dict[str, Any]:
-    """The numbers of one deformation."""
+    """Quality measures of one deformation."""
     total = result.quality.total
     return {
         "p95": total.aspect_ratio.p95,
@@ -157,7 +157,7 @@ def measured(result: moldline.Deformation, length: float) -> dict[str, Any]:
 
 
 def worst(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """The worst of each number over deformations; those that failed are counted."""
+    """The worst of each measure over deformations, and the number of failures."""
     done = [row for row in rows if "error" not in row]
     largest = (
         "p95", "max", "above_5_percent", "edge_ratio_p95", "edge_ratio_max", "folded", "inverted",
@@ -250,7 +250,7 @@ def line(name: str, row: dict[str, Any]) -> str:
 
 
 def goals(report: dict[str, Any]) -> list[dict[str, Any]]:
-    """The goals and what was reached."""
+    """Goals and results."""
     rows: list[dict[str, Any]] = []
 
     def at_most(name: str, value: float | None, limit: float, unit: str) -> None:

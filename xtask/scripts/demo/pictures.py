@@ -23,7 +23,7 @@ ROOT = np.array([13.9, 1.1, 0.25])
 
 @dataclass(frozen=True)
 class Drawing:
-    """What there is to draw of one case."""
+    """A case to draw."""
 
     name: str
     mold_line: str
@@ -35,7 +35,7 @@ class Drawing:
 
 
 def caption(design: dict[str, float], mold_line: str) -> str:
-    """A design for people."""
+    """A design in words."""
     parts = []
     if translation := design.get("wing.translation"):
         parts.append(f"wing {translation:+g} m")
@@ -47,7 +47,7 @@ def caption(design: dict[str, float], mold_line: str) -> str:
 
 
 def draw(drawing: Drawing) -> None:
-    """Writes `<case>-junction.png`, and `<case>.png` too unless it would look as that of the sharp outer mold line."""
+    """Writes `<case>-junction.png`, and `<case>.png` too unless it would look like that of the sharp outer mold line."""
     title = caption(drawing.design, drawing.mold_line)
     if drawing.mold_line == "sharp":
         image = aircraft(drawing.mesh, drawing.vertices)

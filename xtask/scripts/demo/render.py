@@ -69,7 +69,7 @@ def render(
     normals = _corner_normals(vertices, cells, owner) @ axes.T
     visible, hits, bary = _rasterise(screen[corners], width, height)
 
-    # Shade what is seen, sample by sample.
+    # Shade the visible surface, sample by sample.
     corner_normals = normals[corners_index(cells)].astype(np.float32)
     n = sum(bary[k][:, None] * corner_normals[hits, k] for k in range(3))
     n /= np.sqrt(np.einsum("kx,kx->k", n, n))[:, None] + np.float32(1e-30)
@@ -157,11 +157,11 @@ def _rasterise(triangles: NDArray, width: int, height: int) -> tuple[NDArray, ND
     a, b, c = xy[:, 0], xy[:, 1], xy[:, 2]
     area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
     sizes = extent[:, 0] * extent[:, 1]
-    # Meshes are closed: what is turned away is hidden (y points down here, so areas towards the eye are negative).
+    # Meshes are closed: back faces are hidden (y points down here, so areas towards the eye are negative).
     order = np.flatnonzero((sizes > 0) & (area < -1e-9))
     nearest = np.full(width * height, -np.inf, dtype=np.float32)
     seen_in = np.zeros(width * height, dtype=np.int32)
-    # Everything about a triangle that its samples need: barycentric coordinates and depth are affine on the screen.
+    # Data of a triangle for its samples: barycentric coordinates and depth are affine on the screen.
     gradient = np.stack([c[:, 1] - a[:, 1], a[:, 0] - c[:, 0], a[:, 1] - b[:, 1], b[:, 0] - a[:, 0]], axis=1)
     gradient /= np.where(area == 0, 1, area)[:, None]
     ends = np.cumsum(sizes[order])

@@ -1,8 +1,8 @@
-"""What the panel method gives where the flow is known: closed forms, published results, refinement, consistency, time.
+"""Validation of the panel method on known flows: closed forms, published results, refinement, consistency, time.
 
-    python validate.py --binary ../../target/release/moldline --out ../../out/panel --docs ../../docs
+    cargo xtask validate-panel
 
-Writes validation.json and pictures to `--out`, and the page validation.md with its pictures to `--docs` if that is named.
+Writes validation.json and pictures to `--out`, and the page validation.md with its pictures to `--docs` if given.
 """
 
 from __future__ import annotations
@@ -41,14 +41,14 @@ ALPHA = np.radians(5.0)
 
 @dataclass(frozen=True)
 class Row:
-    """A number, and between which it should be."""
+    """A result and the bounds of its goal."""
 
     name: str
     value: float
     unit: str
     least: float | None = None
     most: float | None = None
-    #: Published, of another code or by a closed form.
+    #: Published value, of another code or from a closed form.
     peer: float | None = None
 
     @property
@@ -76,7 +76,7 @@ class Validation:
         return self.panels.create_configuration(*mesh, **options)
 
     def ellipsoids(self) -> None:
-        """Closed forms: on an ellipsoid in a stream along an axis the velocity is a constant vector's tangential part."""
+        """Closed forms: on an ellipsoid in a stream along an axis, velocity is the tangential part of a constant vector."""
         long = "ellipsoid 3 : 1 : 0.6"
         cases = {
             "sphere": (sphere, (8, 16, 32), (1.0, 1.0, 1.0)),
@@ -101,7 +101,7 @@ class Validation:
             for error_name in list(table[0])[1:]:
                 order = np.log2(table[1][error_name] / table[2][error_name])
                 least = {"least": 1.9} if "poles" in error_name else {}
-                self.row(f"{name}: order of the {error_name} error", order, **least)
+                self.row(f"{name}: order of convergence, {error_name}", order, **least)
 
     def wing(self, name: str, wing: Wing, span: float, grids: tuple[tuple[int, int], ...]) -> list[Analysis]:
         """A wing on several grids: lift, drag, and lift by pressure and on the wake against that by circulation."""
@@ -199,8 +199,8 @@ class Validation:
         self.tables[f"{name}, Mach {mach:g}"] = table
         worst = max(abs(row["lifts apart, %"]) for row in table)
         self.row(f"{name}: pressure and wake against circulation", worst, "%", most=1.0)
-        self.row(f"{name}: solution at three angles with all forces, and its way", seconds, "s", most=12.0)
-        self.row(f"{name}: memory as it is stated", configuration.memory / 1e9, "GB", most=1.5)
+        self.row(f"{name}: three angles with all forces, with the transfer", seconds, "s", most=12.0)
+        self.row(f"{name}: memory, as reported", configuration.memory / 1e9, "GB", most=1.5)
         at = analyses[1]
         solution = analyses[0].engine_seconds
         for count in (1, 6):
@@ -298,14 +298,14 @@ def draw(found: Validation, folder: Path) -> None:
 
 
 def page(found: Validation) -> str:
-    """The page of the documents."""
+    """The page validation.md."""
     lines = [
         "# Validation of the panel method",
         "",
         "Written by `cargo xtask validate-panel`: measured on 2 cores, through `moldline panel serve` and its Python "
         "client, beside the goals and published values.",
         "",
-        "| what | found | unit | goal | others | reached |",
+        "| quantity | result | unit | goal | published | reached |",
         "|---|---|---|---|---|---|",
     ]
     lines += [f"| {' | '.join(cells)} |" for cells in map(printed, found.rows)]
