@@ -1,6 +1,6 @@
 //! Moldline's wire messages, client and server traits, compiled from `proto/moldline`.
 //!
-//! Only the binary and clients see this crate; the service behind it knows no transport.
+//! Transports, the binary and the clients use this crate; the services do not know it.
 
 /// Version 1 of the interface.
 pub mod v1 {

@@ -13,7 +13,7 @@ use std::{
 use toml::Table;
 
 fn main() -> Result<(), Box<dyn Error>> {
-    // With the same compiler the same on every machine; another compiler is another build.
+    // The same on every machine with the same compiler; another compiler gives another name.
     let mut hasher = std::hash::DefaultHasher::new();
     let workspace = workspace()?;
     for folder in own_crates(&workspace)?.values() {

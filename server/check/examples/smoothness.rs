@@ -1,8 +1,8 @@
 //! Sweeps design variables of the E175 through their ranges and looks for jumps of the mesh and of its derivative that smooth
-//! change does not explain. Writes the courses of some vertices as JSON, for `xtask/scripts/smoothness/plot.py`.
+//! change does not explain. Writes the paths of some vertices as JSON, for `xtask/scripts/smoothness/plot.py`.
 //!
 //! Over a step h the mesh must move by the mean of the derivatives at both ends, up to what the derivative's own change
-//! explains; and the derivative must change like in the steps beside.
+//! explains; and the derivative must change as in the neighbouring steps.
 
 use std::{error::Error, fs, path::Path, sync::Arc};
 
@@ -12,11 +12,11 @@ use serde_json::{Value, json};
 
 /// Steps of a sweep.
 const STEPS: usize = 200;
-/// How many times more than its neighbours' change of the derivative counts as a jump ...
+/// Ratio of a change of the derivative to that of its neighbours from which on it counts as a jump ...
 const SUSPICIOUS: f64 = 20.0;
 /// ... if it is more than this fraction of the largest derivative of any vertex.
 const NOTICEABLE: f64 = 1e-3;
-/// What a step may leave unexplained of the mesh's motion, as a fraction of the longest step of any vertex.
+/// Largest unexplained motion of a step, as a fraction of the longest step of any vertex.
 const UNEXPLAINED: f64 = 1e-3;
 
 type Positions = Vec<[f64; 3]>;

@@ -1,8 +1,8 @@
 //! Components in dual numbers: evaluation, foot points with their signs and normals, lines over patch edges.
 //!
-//! What is discrete (patch, feature, side) is taken from a query of the engine at the values; what is continuous is
-//! found again by Newton steps in dual arithmetic from the converged parameters, the slope being that of the values. The
-//! first step makes the derivatives exact, the second removes the rounding of the first.
+//! Discrete decisions (patch, feature, side) are taken from a query of the engine at the values; parameters are found again
+//! by Newton steps in dual arithmetic from the converged ones, with the slope of the values. The first step makes the
+//! derivatives exact, the second removes the rounding of the first.
 
 use moldline_geometry::{
     Body, Component, Feature, FootPoint, Incidence, Location, ParameterDirection, Patch, Side, VertexKind,
@@ -18,8 +18,8 @@ use crate::{
 
 /// Newton steps in dual arithmetic.
 pub const STEPS: usize = 2;
-/// How far, as a sine, the line to a foot point may lean before its patch side must be what holds it.
-const HELD: f64 = 1e-6;
+/// Largest sine of the angle between the normal and the line to a foot point that no patch side constrains.
+const LEANING: f64 = 1e-6;
 
 /// Parameters on a component.
 #[derive(Clone, Copy, Debug)]
@@ -49,21 +49,21 @@ pub struct Foot {
     pub at: At,
     /// Its position, m.
     pub position: Vector,
-    /// The normal that the engine goes by there.
+    /// The normal that the engine uses there.
     pub normal: Vector,
     /// Signed distance to it, m.
     pub distance: Dual,
 }
 
-/// What holds a foot point.
+/// The constraint on a foot point.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Held {
+enum Constraint {
     /// Nothing: both parameters are free.
-    Nowhere,
+    Free,
     /// A side of its patch: one parameter is free.
-    On(Side),
+    Side(Side),
     /// A corner or a pole.
-    Fast,
+    Corner,
 }
 
 /// A component with dual control points. The values are those of `body`.
@@ -77,7 +77,7 @@ fn domain(patch: &Patch) -> [(f64, f64); 2] {
     patch.surface.domain()
 }
 
-/// The parameter that a side holds (0: u, 1: v), and its value.
+/// The parameter that is constant on a side (0: u, 1: v), and its value.
 fn held(patch: &Patch, side: Side) -> (usize, f64) {
     let axis = usize::from(!side.holds_u());
     let (low, high) = domain(patch)[axis];
@@ -116,7 +116,7 @@ fn unit(x: &Vector) -> Vector {
     x / length(x)
 }
 
-/// The parts of a side behind which a line goes on.
+/// The parts of a side across which a line continues.
 struct Crossing {
     side: Side,
     sharp: bool,
@@ -124,14 +124,14 @@ struct Crossing {
 }
 
 impl<'a> DualBody<'a> {
-    /// A component in its reference state, or any other that does not depend on the directions.
+    /// A component in its reference state, or in any other state that does not depend on the directions.
     pub fn fixed(body: &'a Body) -> Self {
         Self { body, points: body.control_points().iter().map(|p| p.map(constant)).collect() }
     }
 
     /// A component with the user's dual control points, of which `body` has the values.
     pub fn new(body: &'a Body, user: &[[Dual; 3]]) -> Self {
-        // The map to internal control points is linear: it carries each direction over as it does points.
+        // The map to internal control points is linear: it maps each direction as it maps points.
         let part = |of: &dyn Fn(&Dual) -> f64| {
             let part: Vec<[f64; 3]> = user.iter().map(|p| [of(&p[0]), of(&p[1]), of(&p[2])]).collect();
             body.component().internal_control_points(&part)
@@ -202,11 +202,11 @@ impl<'a> DualBody<'a> {
         limit.map_or_else(Vector::zeros, outward)
     }
 
-    /// What holds the foot point of a vector `x - y = d` at a location.
-    fn hold(&self, l: &Location, feature: Feature, d: &Real) -> Held {
+    /// The constraint on the foot point of a vector `x - y = d` at a location.
+    fn constraint(&self, l: &Location, feature: Feature, d: &Real) -> Constraint {
         let patch = self.patch(l.patch);
         match feature {
-            Feature::Corner { .. } => return Held::Fast,
+            Feature::Corner { .. } => return Constraint::Corner,
             Feature::Edge { edge } => {
                 let component = self.body.component();
                 let side = sides_of(patch, l).find(|&side| {
@@ -224,22 +224,22 @@ impl<'a> DualBody<'a> {
                             .is_some_and(|(e, _)| component.edges()[e as usize].sharp)
                     })
                 };
-                return side.or_else(any).map_or(Held::Fast, Held::On);
+                return side.or_else(any).map_or(Constraint::Corner, Constraint::Side);
             }
             Feature::Face => {}
         }
-        // A smooth edge with a slight kink holds foot points as a sharp one does.
+        // A smooth edge with a slight kink constrains foot points as a sharp one does.
         let first = self.jet_of_values(&At::fixed(l), 1).first;
         let leaning = sides_of(patch, l).find(|&side| {
             let (axis, _) = held(patch, side);
             let (along, slope) = (first[axis].norm() * d.norm(), first[axis].dot(d));
-            d.norm() > 1e-12 * self.body.size() && slope.abs() > HELD * along
+            d.norm() > 1e-12 * self.body.size() && slope.abs() > LEANING * along
         });
-        leaning.map_or(Held::Nowhere, Held::On)
+        leaning.map_or(Constraint::Free, Constraint::Side)
     }
 
     /// Newton steps from a converged foot point of `x`.
-    fn converge(&self, x: &Vector, start: &Location, hold: Held) -> At {
+    fn converge(&self, x: &Vector, start: &Location, constraint: Constraint) -> At {
         let mut at = At::fixed(start);
         for _ in 0..STEPS {
             let j = self.jet_of_values(&at, 2);
@@ -253,13 +253,13 @@ impl<'a> DualBody<'a> {
             let (position, first) = self.point(&at);
             let r = position - x;
             let gradient = [first[0].dot(&r), first[1].dot(&r)];
-            match hold {
-                Held::Fast => break,
-                Held::On(side) => {
+            match constraint {
+                Constraint::Corner => break,
+                Constraint::Side(side) => {
                     let free = usize::from(side.holds_u());
                     at.mu[free] -= gradient[free] / hessian[(free, free)];
                 }
-                Held::Nowhere => {
+                Constraint::Free => {
                     let step = solve(&hessian, &gradient);
                     at.mu[0] -= step[0];
                     at.mu[1] -= step[1];
@@ -272,14 +272,14 @@ impl<'a> DualBody<'a> {
     /// A foot point of `x` that the engine found at the values.
     pub fn foot(&self, x: &Vector, found: &FootPoint) -> Foot {
         let d = real(x) - found.position;
-        let hold = self.hold(&found.location, found.feature, &d);
-        let at = self.converge(x, &found.location, hold);
+        let constraint = self.constraint(&found.location, found.feature, &d);
+        let at = self.converge(x, &found.location, constraint);
         let position = self.position(&at);
         let d = x - position;
         let sum = self.normal_of_feature(&at, &found.location, found.feature);
         let (norm, gap) = (real(&sum).norm(), real(&d).norm());
         if norm <= 1e-7 {
-            // Opposite normals: what is nearest to the edge is outside.
+            // Opposite normals: points nearest to the edge are outside.
             let normal = if gap > 0.0 { unit(&d) } else { self.normal(&at) };
             let distance = if gap > 0.0 { length(&d) } else { constant(0.0) };
             return Foot { at, position, normal, distance };
@@ -319,8 +319,8 @@ impl<'a> DualBody<'a> {
         let sides = &self.body.component().edges()[edge as usize].sides;
         let side =
             sides_of(patch, &l).find_map(|side| sides.iter().find(|s| s.patch == l.patch && s.side == side));
-        let hold = match side {
-            None => Held::Fast,
+        let constraint = match side {
+            None => Constraint::Corner,
             Some(side) => {
                 // At the end of the edge, and pushed beyond it.
                 let free = usize::from(side.side.holds_u());
@@ -328,21 +328,21 @@ impl<'a> DualBody<'a> {
                 let tangent = self.jet_of_values(&At::fixed(&l), 1).first[free];
                 let d = real(x) - found.position;
                 let end = t == side.range.0 || t == side.range.1;
-                let pushed = tangent.dot(&d).abs() > HELD * tangent.norm() * d.norm();
+                let pushed = tangent.dot(&d).abs() > LEANING * tangent.norm() * d.norm();
                 if end && pushed && d.norm() > 1e-12 * self.body.size() {
-                    Held::Fast
+                    Constraint::Corner
                 } else {
-                    Held::On(side.side)
+                    Constraint::Side(side.side)
                 }
             }
         };
-        let at = self.converge(x, &l, hold);
+        let at = self.converge(x, &l, constraint);
         let position = self.position(&at);
         Foot { at, position, normal: Vector::zeros(), distance: constant(f64::NAN) }
     }
 
-    /// The sum of the normals of the faces at a foot point, weighted as the engine does. `at` is the foot point, found at
-    /// the values at `l`, on whose patch sides it may lie.
+    /// The sum of the normals of the faces at a foot point, weighted as in the engine. `at` is the foot point, which at the values
+    /// is at `l`, and may lie on the sides of that patch.
     fn normal_of_feature(&self, at: &At, l: &Location, feature: Feature) -> Vector {
         let component = self.body.component();
         let patch = self.patch(l.patch);
@@ -363,7 +363,7 @@ impl<'a> DualBody<'a> {
         };
         if let Some(vertex) = vertex {
             let smooth = component.vertices()[vertex as usize].kind == VertexKind::Smooth;
-            // At an ordinary point of a face any of the patches has the normal, and shows how it turns.
+            // At an ordinary point of a face any of the patches has the normal and its derivatives.
             let ordinary = smooth && feature == Feature::Face && !edge.collapsed;
             return if ordinary { self.normal(at) } else { self.vertex_normal(vertex) };
         }
@@ -454,7 +454,7 @@ impl<'a> DualBody<'a> {
         mu[to_axis] = constant(to_bound);
         let mut to = At { patch: there.patch, mu };
         let speed = |at: &At, axis: usize| length(&self.point(at).1[axis]);
-        // Lines go on at the speed that they have in space.
+        // Lines keep their speed in space across an edge.
         let ratio = speed(&on_side, axis) / speed(&to, to_axis);
         if ratio.re.is_finite() {
             let outwards = if side.is_min() { -beyond } else { beyond };
@@ -493,15 +493,15 @@ impl<'a> DualBody<'a> {
         t
     }
 
-    /// The same in dual numbers, from the converged value.
+    /// The parameter in dual numbers, from the converged value.
     fn along_side(&self, patch: u32, side: Side, start: f64, x: &Vector) -> Dual {
         let (axis, bound) = held(self.patch(patch), side);
         let mut mu = [constant(start); 2];
         mu[axis] = constant(bound);
-        self.converge(x, &At { patch, mu }.location(), Held::On(side)).mu[1 - axis]
+        self.converge(x, &At { patch, mu }.location(), Constraint::Side(side)).mu[1 - axis]
     }
 
-    /// Continues a line of one parameter by `delta` over smooth edges, as the engine does.
+    /// Continues a line of one parameter by `delta` across smooth edges, as the engine does.
     pub fn walk(&self, from: &At, along: ParameterDirection, delta: Dual) -> At {
         let mut at = *from;
         let mut axis = usize::from(along == ParameterDirection::V);
@@ -535,14 +535,14 @@ impl<'a> DualBody<'a> {
         at
     }
 
-    /// Both parameters one after the other, by `step` each.
+    /// Moves both parameters by `step`, one after the other.
     pub fn walk_both(&self, from: &At, step: [Dual; 2]) -> At {
         let at = self.walk(from, ParameterDirection::U, step[0]);
         self.walk(&at, ParameterDirection::V, step[1])
     }
 }
 
-/// `H^-1 g`, of a matrix of values.
+/// `H^-1 g` for a matrix of values.
 pub fn solve(hessian: &Matrix2<f64>, gradient: &[Dual; 2]) -> [Dual; 2] {
     let inverse = hessian.try_inverse().unwrap_or_else(|| Matrix2::from_element(f64::NAN));
     [0, 1].map(|a| gradient[0] * inverse[(a, 0)] + gradient[1] * inverse[(a, 1)])

@@ -23,22 +23,22 @@ use crate::{
 /// The paper's eps in a step of the projection.
 const EPSILON: f64 = 1e-12;
 
-/// What each step of the chain gives: values, or derivatives along one direction.
+/// The result of each step of the chain: values, or derivatives along one direction.
 #[derive(Clone, Debug, Default)]
 pub struct Stages {
-    /// Control points of each component, the user's, Cartesian.
+    /// The user's control points of each component, Cartesian, m.
     pub control_points: Vec<Vec<[f64; 3]>>,
-    /// Each seam vertex, in the order of the search.
+    /// Position of each seam vertex, in the order of the search, m.
     pub seam_positions: Vec<Real>,
     /// Its parameters on each of its owners.
     pub seam_parameters: Vec<Vec<[f64; 2]>>,
-    /// For each field, what each seam vertex does in its terms.
+    /// For each field, the motion of each seam vertex in the field's terms.
     pub motions: Vec<Vec<Real>>,
     /// For each vertex of the mesh, the field's value.
     pub displacements: Vec<Real>,
-    /// For each vertex, its place on its component, smoothing included.
+    /// For each vertex, its position on its component, smoothing included, m.
     pub placed: Vec<Real>,
-    /// The deformed mesh.
+    /// The deformed mesh, m.
     pub vertices: Vec<Real>,
     /// The scalar outputs, each in its unit.
     pub functions: Vec<f64>,
@@ -49,10 +49,10 @@ pub struct Stages {
 pub struct Evaluation {
     /// Values.
     pub values: Stages,
-    /// Derivatives, one entry a direction.
+    /// Derivatives, one entry for each direction.
     pub tangents: Vec<Stages>,
-    /// For each direction what the derivatives of the scalar outputs would be if nothing in them cancelled: sums over
-    /// points of the lengths of gradient and motion.
+    /// For each direction, the derivatives of the scalar outputs as they would be if nothing in them cancelled: sums over
+    /// points of the products of the lengths of gradient and motion.
     pub terms: Vec<Vec<f64>>,
 }
 
@@ -63,7 +63,7 @@ pub struct Chain<'a> {
     topology: Topology,
 }
 
-/// The same before it is taken apart into directions.
+/// Results before they are split into directions.
 struct DualStages {
     control_points: Vec<Vec<[Dual; 3]>>,
     seams: Vec<DualSeam>,
@@ -118,7 +118,7 @@ impl<'a> Chain<'a> {
         })
     }
 
-    /// The same along directions in the space of the user's control points.
+    /// Values and derivatives along directions in the space of the user's control points.
     ///
     /// # Errors
     /// As [`Setup::deform_control_points`]; [`CheckError::Line`].
@@ -274,7 +274,7 @@ impl Deformed<'_> {
         self.bodies[own.component as usize].position(&At::fixed(&own.location))
     }
 
-    /// What each seam vertex does in the terms of one field.
+    /// The motion of each seam vertex in the terms of one field.
     fn motion(
         &self,
         component: Option<u32>,
@@ -432,7 +432,7 @@ impl Deformed<'_> {
             .collect()
     }
 
-    /// Eq. 18, as often as the values need it.
+    /// Projection steps (eq. 18), as many as the values need.
     fn project(&self, v: u32, start: Vector, mut known: Vec<(u32, Location)>) -> Vector {
         let options = self.setup.options();
         let tolerance = options.projection_tolerance * self.setup.length();
@@ -479,7 +479,7 @@ impl Deformed<'_> {
     }
 }
 
-/// The foot point of `x` on the part of a component that a vertex may move over.
+/// The foot point of `x` on the part of a component to which a vertex is restricted.
 fn onto(
     body: &DualBody<'_>,
     v: u32,

@@ -1,4 +1,4 @@
-//! Departures along a component's surface in dual numbers.
+//! Departures (displacements in a chart) along a component's surface in dual numbers.
 
 use moldline_deform::{Location, chart::Chart};
 use moldline_geometry::{EdgeSide, ParameterDirection};
@@ -9,7 +9,7 @@ use crate::{
     dual::{Dual, Vector, constant, number, real, tangent},
 };
 
-/// The parameters a departure away, over the edges of patches.
+/// The parameters reached by a departure, across the edges of patches.
 pub fn walk(chart: &Chart, reference: &DualBody<'_>, from: &At, departure: [Dual; 2]) -> At {
     let mut at = *from;
     for (k, along) in departure.into_iter().enumerate() {
@@ -20,8 +20,8 @@ pub fn walk(chart: &Chart, reference: &DualBody<'_>, from: &At, departure: [Dual
     at
 }
 
-/// The departure that leads from a vertex's reference location to parameters that move, by Newton steps from the engine's
-/// departure; `None` where the engine finds none.
+/// The departure from a vertex's reference location to parameters that move, by Newton steps from the engine's departure;
+/// `None` where the engine finds none.
 pub fn unroll(
     chart: &Chart,
     reference: &DualBody<'_>,

@@ -12,17 +12,17 @@ use crate::{
     random::Random,
 };
 
-/// Errors up to which derivatives pass.
+/// Largest error of the dot products with which derivatives pass.
 pub const DOT_PRODUCT: f64 = 1e-12;
-/// The same against dual numbers.
+/// Largest relative error against dual numbers.
 pub const DUAL: f64 = 1e-10;
-/// The same against central differences.
+/// Largest relative error against central differences.
 pub const CENTRAL_DIFFERENCE: f64 = 1e-6;
-/// A derivative of a scalar output that is less than so many times what it is the sum of is measured by that sum: it cancels, and
-/// rounding remains.
+/// The error of a derivative of a scalar output is relative to this fraction of the sum of its terms' absolute values, if the derivative
+/// is smaller: it cancels, and rounding remains.
 const CANCELLED: f64 = 1e-3;
 
-/// What a design leads to, or a derivative of that, or a seed for it.
+/// The outputs of a design, a derivative of them, or a seed for them.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Outputs {
     /// Vertices, m.
@@ -48,7 +48,7 @@ pub trait Linear {
     /// The engine's.
     fn vjp(&self, seeds: &[Outputs]) -> Result<Vec<Vec<f64>>, DeformError>;
 
-    /// What each step does along a direction, so that a discrepancy can be traced.
+    /// The derivatives of each step along a direction, so that a discrepancy can be traced.
     ///
     /// # Errors
     /// The engine's.
@@ -57,14 +57,14 @@ pub trait Linear {
 
 /// The engine as a function, for differences.
 pub trait Function: Sync {
-    /// The outputs of a design, bounds of the variables not being looked at.
+    /// The outputs of a design; the bounds of the variables are ignored.
     ///
     /// # Errors
     /// [`DeformError`] if there is no mesh.
     fn eval(&self, design: &[f64], monitor: &dyn Monitor<Stage>) -> Result<Outputs, DeformError>;
 }
 
-/// What a check does at one time.
+/// The phase of a check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Phase {
     /// `<w, J v>` against `<J^T w, v>`.
@@ -75,18 +75,18 @@ pub enum Phase {
     Differences,
 }
 
-/// Told how far a check has come, and asked whether to go on.
+/// The observer of a check: it receives progress and can cancel.
 pub trait Watch: Sync {
-    /// A phase has come to `fraction` (0..=1).
+    /// The check has done `fraction` (0..=1) of a phase.
     fn progress(&self, phase: Phase, fraction: f64);
 
-    /// Whether the caller has lost interest.
+    /// Whether the check should stop.
     fn cancelled(&self) -> bool {
         false
     }
 }
 
-/// Passes the question on to the engine, but not what it tells.
+/// The engine's monitor: passes cancellation on, but no progress.
 struct Quietly<'a>(&'a dyn Watch);
 
 impl Monitor<Stage> for Quietly<'_> {
@@ -97,7 +97,7 @@ impl Monitor<Stage> for Quietly<'_> {
     }
 }
 
-/// What is to be compared.
+/// Options of a check.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CheckOptions {
     /// Variables whose derivatives are compared with dual numbers and differences.
@@ -106,9 +106,9 @@ pub struct CheckOptions {
     pub steps: Vec<f64>,
     /// Seed of the random vectors.
     pub seed: u64,
-    /// Relative error of a stage from which on it is named.
+    /// Relative error of a step of the chain from which on the step is reported as wrong.
     pub tolerance: f64,
-    /// Relative error against central differences from which on kinks are looked for.
+    /// Relative error against central differences from which on kinks are sought.
     pub differences: f64,
 }
 
@@ -134,7 +134,7 @@ pub enum Step {
     SeamPositions,
     /// Their parameters on the components.
     SeamParameters,
-    /// What the seams do in the terms of the fields.
+    /// Motions of the seams in the terms of the fields.
     Motions,
     /// The fields at the vertices.
     Displacements,
@@ -159,7 +159,7 @@ impl Step {
         Self::Functions,
     ];
 
-    /// Words for people and files.
+    /// Name for reports and files.
     pub fn name(self) -> &'static str {
         match self {
             Self::ControlPoints => "control points",
@@ -173,7 +173,7 @@ impl Step {
         }
     }
 
-    /// Its numbers, one after the other.
+    /// The step's numbers, one after the other.
     fn numbers(self, stages: &Stages) -> Vec<f64> {
         let flat = |x: &[Real]| x.iter().flat_map(|x| [x.x, x.y, x.z]).collect::<Vec<_>>();
         match self {
@@ -198,12 +198,12 @@ pub struct DotProduct {
     pub error: f64,
 }
 
-/// One step size of the differences.
+/// A central difference with one step size.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Difference {
-    /// Relative to the range of the variable.
+    /// Step, relative to the range of the variable.
     pub step: f64,
-    /// Of the vertices; `None` if one of the two designs has no mesh.
+    /// Relative error of the vertices; `None` if one of the two designs has no mesh.
     pub error: Option<f64>,
 }
 
@@ -216,7 +216,7 @@ pub struct VariableCheck {
     pub size: f64,
     /// Relative error against dual numbers: of the vertices, or of a scalar output where that is larger.
     pub dual: f64,
-    /// The vertex that contributes most to it.
+    /// The vertex that contributes most to this error.
     pub worst_vertex: usize,
     /// Relative errors of the steps of the chain.
     pub steps: Vec<(Step, f64)>,
@@ -224,21 +224,20 @@ pub struct VariableCheck {
     pub first_off: Option<Step>,
     /// Relative errors against central differences.
     pub differences: Vec<Difference>,
-    /// Vertices that have no derivative, but one to either side. They are looked for where central differences do not
-    /// agree at any step.
+    /// Vertices with different one-sided derivatives. They are sought where central differences do not agree at any step.
     pub kink: Option<Kink>,
-    /// The same of the scalar outputs at the best step: the largest over the outputs. Zero if there are none.
+    /// The largest relative error of a scalar output against central differences at the best step. Zero if there are none.
     pub functions: f64,
 }
 
 impl VariableCheck {
-    /// The least error against central differences, and the step it is found at.
+    /// The least error against central differences, and its step.
     pub fn best(&self) -> Option<(f64, f64)> {
         let errors = self.differences.iter().filter_map(|d| d.error.map(|e| (d.step, e)));
         errors.min_by(|a, b| a.1.total_cmp(&b.1))
     }
 
-    /// The least error against central differences; at kinks, against the derivative to one side.
+    /// The least error against central differences; at kinks, against the one-sided derivative.
     pub fn difference_error(&self) -> f64 {
         let best = self.best().map_or(f64::INFINITY, |(_, error)| error);
         self.kink.as_ref().map_or(best, |kink| kink.error)
@@ -250,12 +249,12 @@ impl VariableCheck {
 pub struct DesignCheck {
     /// The design.
     pub design: Vec<f64>,
-    /// Largest distance between a vertex of the engine and that of the evaluation in dual numbers, relative to the
-    /// reference length.
+    /// Largest distance between a vertex from the engine and the same vertex from the evaluation in dual numbers, relative to
+    /// the reference length.
     pub values: f64,
-    /// One vector, and as many as there are variables.
+    /// With blocks of one vector, and of as many as there are variables.
     pub dot_products: Vec<DotProduct>,
-    /// A row for each variable asked for.
+    /// A row for each requested variable.
     pub variables: Vec<VariableCheck>,
 }
 
@@ -271,18 +270,18 @@ impl DesignCheck {
     }
 
     /// The largest relative error against central differences at the best step of each variable; at kinks against the
-    /// derivative to one side.
+    /// one-sided derivative.
     pub fn central_difference_max(&self) -> f64 {
         largest(self.variables.iter().map(VariableCheck::difference_error))
     }
 }
 
-/// The largest value; not a number if one is not.
+/// The largest value; NaN if any value is.
 pub fn largest(values: impl Iterator<Item = f64>) -> f64 {
     values.fold(0.0, |a, b| if a.is_nan() || b.is_nan() { f64::NAN } else { a.max(b) })
 }
 
-/// The range of a variable; where it has no bounds, its baseline or one.
+/// The range of a variable: between its bounds, or else its baseline or one.
 pub fn range(variable: &Variable) -> f64 {
     let range = variable.upper - variable.lower;
     if range.is_finite() && range > 0.0 { range } else { variable.baseline.abs().max(1.0) }
@@ -348,8 +347,8 @@ fn far_design(variables: &[Variable], random: &mut Random) -> Vec<f64> {
 /// Checks a linearisation at a design.
 ///
 /// # Errors
-/// [`CheckError`]: the engine's errors, cancellation included, and those of the evaluation in dual numbers. A design of a
-/// difference that has no mesh is no error.
+/// [`CheckError`]: the engine's errors, cancellation included, and those of the evaluation in dual numbers. It is no error if a
+/// difference's design has no mesh.
 pub fn check_design(
     setup: &Setup,
     chain: &Chain<'_>,
@@ -416,7 +415,7 @@ pub fn check_design(
     Ok(DesignCheck { design: design.to_vec(), values, dot_products, variables: rows })
 }
 
-/// Passes on what the evaluation in dual numbers tells.
+/// Passes on the progress of the evaluation in dual numbers.
 struct DualProgress<'a>(&'a dyn Watch);
 
 impl Monitor<Stage> for DualProgress<'_> {
@@ -441,7 +440,7 @@ fn dot_product(
     let directions: Vec<Vec<f64>> =
         (0..block).map(|_| variables.iter().map(|v| range(v) * random.signed()).collect()).collect();
     let tangents = linear.jvp(&directions)?;
-    // Seeds that give the scalar outputs as much to say as the vertices have, whatever their units; not to those that only
+    // Seeds that give the scalar outputs the same weight as the vertices, whatever their units; except outputs that only
     // rounding changes (the y of a tracked point in the plane of symmetry).
     let changes: Vec<f64> = (0..outputs.functions.len())
         .map(|k| largest(tangents.iter().map(|t| t.functions[k].abs())))
@@ -491,11 +490,11 @@ fn against_dual(
         .map(|step| {
             let (a, b) = (step.numbers(stages), step.numbers(exact));
             let difference: Vec<f64> = a.iter().zip(&b).map(|(a, b)| a - b).collect();
-            // A step that does next to nothing has rounding for a derivative.
+            // The derivative of a step that does next to nothing is rounding.
             let size = length(&b).max(1e-6 * moved);
             let error = match step {
                 _ if a.len() != b.len() => f64::INFINITY,
-                // Each in a unit of its own.
+                // Each output has its own unit.
                 Step::Functions => function_error(&a, &b, &dual.terms[row]),
                 _ => length(&difference) / size,
             };
@@ -511,7 +510,7 @@ fn against_dual(
         size: norm(&tangent.vertices),
         dual: largest([relative_error(&tangent.vertices, &exact), functions].into_iter()),
         worst_vertex: worst.unwrap_or(0),
-        // Not "not within": an error that is not a number is one too.
+        // NaN counts as wrong.
         first_off: steps
             .iter()
             .find(|(_, error)| error.is_nan() || *error > tolerance)
@@ -557,7 +556,7 @@ fn central(
     }))
 }
 
-/// The largest error of a scalar output: relative to its derivative, or to [`CANCELLED`] times what that is the sum of.
+/// The largest error of a scalar output: relative to its derivative, or to [`CANCELLED`] times the sum of its terms' absolute values.
 fn function_error(found: &[f64], exact: &[f64], terms: &[f64]) -> f64 {
     largest(found.iter().zip(exact).zip(terms).map(|((found, exact), terms)| {
         let size = exact.abs().max(CANCELLED * terms);

@@ -1,11 +1,11 @@
-//! Differences of the engine's own deformations.
+//! Central differences of the engine's own deformations.
 
 use moldline_deform::{DeformError, Monitor, Setup, Stage};
 
 /// Displacements of all vertices for a unit of a variable or along a direction, m.
 pub type Derivative = Vec<[f64; 3]>;
 
-/// `(x(p + h d) - x(p - h d)) / 2 h` of the vertices, bounds of the variables not being looked at.
+/// `(x(p + h d) - x(p - h d)) / 2 h` of the vertices; the bounds of the variables are ignored.
 ///
 /// # Errors
 /// [`DeformError`] of either deformation.

@@ -8,10 +8,10 @@ pub const LANES: usize = 15;
 /// A value with its derivatives along [`LANES`] directions.
 pub type Dual = DualSVec64<LANES>;
 
-/// A vector of them.
+/// A vector of dual numbers.
 pub type Vector = nalgebra::Vector3<Dual>;
 
-/// The same in plain numbers.
+/// A vector of plain numbers.
 pub type Real = nalgebra::Vector3<f64>;
 
 /// A number that does not depend on the directions.

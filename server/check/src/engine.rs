@@ -1,4 +1,4 @@
-//! The engine's own linearisation as the one that is checked.
+//! The engine's own linearisation as the one under test.
 
 use moldline_deform::{DeformError, Linearisation, Tangent};
 

@@ -1,4 +1,4 @@
-//! Vertices that have no derivative, but one to either side: those on a crease between patches, which they cross.
+//! Kinks: vertices whose one-sided derivatives differ, on a crease between patches that they cross.
 
 use std::fmt;
 
@@ -7,10 +7,10 @@ use rayon::prelude::*;
 
 use crate::{Function, Outputs, differences::norm, dual::Real};
 
-/// Steps of the one-sided differences, relative to the range of the variable. Where there is a derivative, what the
-/// sides differ by is a hundredth at the second of what it is at the first, or rounding, which is ten times as large.
+/// Steps of the one-sided differences, relative to the range of the variable. Where there is a derivative, the difference between
+/// the sides at the second step is a hundredth of that at the first, or rounding, which is ten times as large.
 const STEPS: [f64; 2] = [1e-4, 1e-5];
-/// By how much the jump between the sides may differ at the two steps, relative to itself, to be a kink's.
+/// Largest relative difference between a kink's jumps at the two steps.
 const SAME: f64 = 0.1;
 
 /// Vertices whose derivatives to either side differ.
@@ -20,20 +20,20 @@ pub struct Kink {
     pub vertices: Vec<usize>,
     /// The one among them whose derivatives differ most.
     pub worst: usize,
-    /// By how much, m per unit of the variable.
+    /// Its jump, m per unit of the variable.
     pub jump: f64,
-    /// Where it is in the set-up's mesh, m.
+    /// Its position in the set-up's mesh, m.
     pub position: [f64; 3],
     /// The component it is attached to.
     pub component: String,
     /// Whether it is attached to the boundary of a patch there.
     pub on_boundary: bool,
-    /// `|J v - d| / |J v|` over all vertices, d being the derivative to that side which is nearer at these vertices, and
-    /// the mean of both, a central difference, at all others.
+    /// `|J v - d| / |J v|` over all vertices. At these vertices d is the nearer one-sided derivative, at all others the mean of both,
+    /// a central difference.
     pub error: f64,
 }
 
-/// What it is, and the way out.
+/// The kink in words, and the way out.
 impl fmt::Display for Kink {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { vertices, worst, jump, position: [x, y, z], component, on_boundary, error } = self;
@@ -48,8 +48,8 @@ impl fmt::Display for Kink {
     }
 }
 
-/// The vertices whose derivatives along a direction differ to either side; `None` if there are none, or a design beside this one
-/// has no mesh. `here`: the outputs at the design; `tangent`: the derivatives in question.
+/// The vertices whose one-sided derivatives along a direction differ; `None` if there are none, or a design beside this one
+/// has no mesh. `here`: the outputs at the design; `tangent`: the derivatives to be checked.
 pub fn kink(
     setup: &Setup,
     function: &dyn Function,

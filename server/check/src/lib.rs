@@ -1,10 +1,10 @@
 //! Checks of the derivatives: an independent evaluation of the whole chain in dual numbers, central differences, and the
 //! dot-product test.
 //!
-//! [`Chain`] evaluates what [`moldline_deform::Setup::deform`] evaluates in dual numbers. Of the engine it takes what is
-//! discrete (patches, features, sides, training sets, charts) and the converged values to start from. What is continuous it
-//! evaluates anew: splines from the recurrence, implicit steps by Newton's method in dual arithmetic, radial basis
-//! functions by LU decomposition of the saddle-point matrix with twice the digits.
+//! [`Chain`] evaluates [`moldline_deform::Setup::deform`] in dual numbers. It takes discrete decisions (patches, features, sides,
+//! training sets, charts) and converged values to start from from the engine, and evaluates everything continuous anew:
+//! splines from the recurrence, implicit steps by Newton's method in dual arithmetic, radial basis functions by LU
+//! decomposition of the saddle-point matrix in double-double arithmetic.
 //!
 //! Absent on purpose: files, and anything that only a check would need in the engine.
 
@@ -13,6 +13,7 @@ mod chain;
 mod chart;
 mod check;
 mod differences;
+mod double_double;
 mod dual;
 mod engine;
 mod field;
@@ -22,7 +23,8 @@ mod random;
 mod report;
 mod seam;
 mod spline;
-mod twice;
+
+use moldline_foundation::{Class, Failure};
 
 pub use chain::{Chain, Evaluation, Stages};
 pub use check::{
@@ -36,20 +38,20 @@ pub use report::{Designs, Maximum, Observer, Report, Request};
 /// Why a check cannot be carried out.
 #[derive(Debug, thiserror::Error)]
 pub enum CheckError {
-    /// The engine refuses the design, or does not find the mesh.
+    /// The engine rejects the design, or does not find the mesh.
     #[error(transparent)]
     Deform(#[from] moldline_deform::DeformError),
     /// There is no such variable.
     #[error("{error}")]
     Variable {
-        /// Which of the names.
+        /// Index into the names given.
         index: usize,
         /// What is wrong with it.
         error: moldline_parameterisation::DesignError,
     },
-    /// A seam point is not where its line goes.
+    /// A seam point is off the line along which it is searched.
     #[error(
-        "the seam point of vertex {vertex} is {distance:.1e} m away from the line that it is searched along"
+        "the seam point of vertex {vertex} is {distance:.1e} m away from the line along which it is searched"
     )]
     Line {
         /// Index into the mesh.
@@ -63,15 +65,34 @@ pub enum CheckError {
         /// Index into the mesh.
         vertex: u32,
     },
-    /// No far design has a mesh.
+    /// No random design far from the baseline has a mesh.
     #[error(
         "none of {attempts} random designs far from the baseline has a mesh; the last one: {last}. Narrow the bounds, or \
          give a design"
     )]
     NoDesign {
-        /// How many were tried.
+        /// Number of designs tried.
         attempts: usize,
         /// Why the last one has none.
         last: Box<moldline_deform::DeformError>,
     },
+}
+
+/// Paths in a [`Request`].
+impl Failure for CheckError {
+    fn class(&self) -> Class {
+        match self {
+            Self::Deform(error) => error.class(),
+            Self::Variable { .. } => Class::Input,
+            Self::Line { .. } | Self::Vertex { .. } | Self::NoDesign { .. } => Class::Computation,
+        }
+    }
+
+    fn field(&self) -> Option<String> {
+        match self {
+            Self::Deform(error) => error.field(),
+            Self::Variable { index, .. } => Some(format!("variables[{index}]")),
+            Self::Line { .. } | Self::Vertex { .. } | Self::NoDesign { .. } => Some("designs".to_owned()),
+        }
+    }
 }

@@ -1,8 +1,8 @@
 //! Scalar outputs in dual numbers, from their formulas: volumes as sums of determinants, areas as lengths, integrals over
 //! patches.
 //!
-//! Derivatives of sums may cancel: the volume of a component that moves as a whole has none, and what is left is rounding. So
-//! each output is evaluated with a second number, by which such a rest can be told from an error ([`Sum::terms`]).
+//! Derivatives of sums may cancel: the volume of a component that moves as a whole has the derivative zero, of which rounding
+//! remains. So each output is evaluated with a second number, which tells such a remainder from an error ([`Sum::terms`]).
 
 use std::ops::{Add, Div, Mul, Sub};
 
@@ -19,17 +19,17 @@ use crate::{
 /// A derivative along each direction, or the length of one.
 type Lanes = nalgebra::SVector<f64, LANES>;
 
-/// The least that a point counts as moving, of the largest motion: what rounding leaves of a point that does not move, some 1e-16 of the
+/// Least motion of a point, as a fraction of the largest motion: the rounding of a point that does not move, some 1e-16 of the
 /// largest motion, is then no error.
 const LEAST: f64 = 1e-2;
 
-/// A number that is made of coordinates of points.
+/// A number computed from coordinates of points.
 #[derive(Clone, Copy)]
 pub struct Sum {
-    /// The number.
+    /// Its value.
     pub value: Dual,
-    /// `sum |d value / d x| |dx|` over the points x that it is made of, for each direction: what its derivative would be if
-    /// nothing cancelled.
+    /// `sum |d value / d x| |dx|` over the points x that it is computed from, for each direction: its derivative if nothing
+    /// cancelled.
     pub terms: Lanes,
 }
 
@@ -158,7 +158,7 @@ fn sum(terms: impl Iterator<Item = Sum>) -> Sum {
 
 /// How far points move.
 struct Motion {
-    /// None counts as moving less.
+    /// The least motion of a point.
     least: Lanes,
 }
 
@@ -172,7 +172,7 @@ impl Motion {
         way(x).sup(&self.least)
     }
 
-    /// Of a point, whose coordinates count alike: they change into each other as it turns.
+    /// The motion of a point by its length, since its coordinates change into each other under rotation.
     fn coordinate(&self, x: &Vector, axis: usize) -> Sum {
         Sum { value: x[axis], terms: self.moved(x) }
     }
@@ -196,7 +196,7 @@ impl Motion {
     }
 }
 
-/// The way of a point along each direction.
+/// The derivatives of a point along each direction.
 fn way(x: &Vector) -> Lanes {
     Lanes::from_fn(|k, _| tangent(x, k).norm())
 }

@@ -1,4 +1,4 @@
-//! Random numbers that are the same everywhere.
+//! Random directions of the check. They are part of a report: the same seed gives the same numbers everywhere.
 
 /// The generator SplitMix64 (Steele, Lea and Flood, 2014).
 #[derive(Clone, Debug)]

@@ -1,4 +1,4 @@
-//! A whole check: some designs, one after the other, and what comes of them in words.
+//! A whole check: several designs, one after the other, and a report in words.
 
 use std::{fmt, sync::Arc};
 
@@ -14,16 +14,16 @@ use crate::{
 /// Where derivatives are checked.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Designs {
-    /// At the baseline and at random designs far from it, so many in all.
+    /// At the baseline and at random designs far from it: their number in all.
     Number(usize),
-    /// At this one.
+    /// At this design.
     Given(Vec<f64>),
 }
 
-/// What is to be checked.
+/// What to check.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Request {
-    /// Where.
+    /// The designs.
     pub designs: Designs,
     /// Seed of the random designs and vectors.
     pub seed: u64,
@@ -32,7 +32,7 @@ pub struct Request {
 }
 
 impl Request {
-    /// Indices of the variables asked for.
+    /// Indices of the requested variables.
     ///
     /// # Errors
     /// [`CheckError::Variable`].
@@ -55,25 +55,25 @@ impl Request {
     }
 }
 
-/// Told how far the whole check has come, and asked whether to go on.
+/// The observer of a whole check: it receives progress and can cancel.
 pub trait Observer: Sync {
-    /// It has come to `fraction` (0..=1); what it is at is said in words.
+    /// The check has done `fraction` (0..=1); `at` is the current stage in words.
     fn progress(&self, fraction: f64, at: &str);
 
-    /// Whether the caller has lost interest.
+    /// Whether the check should stop.
     fn cancelled(&self) -> bool;
 }
 
-/// What a check found.
+/// The result of a check.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Report {
-    /// Of the random designs and vectors.
+    /// Seed of the random designs and vectors.
     pub seed: u64,
     /// Names of all variables, in the order of a design's entries.
     pub variables: Vec<String>,
-    /// Whether the design was given, in place of the baseline and others.
+    /// Whether the design was given, in place of the baseline and random ones.
     pub given: bool,
-    /// Design after design.
+    /// Results for each design.
     pub designs: Vec<DesignCheck>,
 }
 
@@ -84,19 +84,19 @@ pub struct Maximum {
     pub comparison: &'static str,
     /// The error.
     pub error: f64,
-    /// Errors up to which derivatives pass.
+    /// Largest error with which derivatives pass.
     pub goal: f64,
 }
 
 impl Maximum {
-    /// Whether the error is within the goal; one that is not a number is not.
+    /// Whether the error is within the goal; NaN is not.
     pub fn passes(&self) -> bool {
         self.error <= self.goal
     }
 }
 
 impl Report {
-    /// What its numbers are.
+    /// Definition of the numbers.
     pub const DEFINITION: &str = "relative errors: norm over all vertices of the difference, over that of the derivative; \
                                   steps relative to the range of the variable";
 
@@ -149,7 +149,7 @@ impl Report {
         })
     }
 
-    /// What one design is.
+    /// Title of one design.
     pub fn title(&self, number: usize) -> String {
         let count = self.designs.len();
         match number {
@@ -208,7 +208,7 @@ fn table(f: &mut fmt::Formatter<'_>, variables: &[String], check: &DesignCheck) 
     Ok(())
 }
 
-/// One design of the whole.
+/// One design of a whole check.
 struct Part<'a> {
     observer: &'a dyn Observer,
     number: usize,
@@ -217,7 +217,7 @@ struct Part<'a> {
 
 impl Watch for Part<'_> {
     fn progress(&self, phase: Phase, fraction: f64) {
-        // How long the phases take, roughly.
+        // Approximate shares of the phases in the time.
         let (start, share, name) = match phase {
             Phase::DotProducts => (0.0, 0.1, "dot products"),
             Phase::DualNumbers => (0.1, 0.3, "dual numbers"),

@@ -13,18 +13,18 @@ use crate::{
     dual::{Dual, Vector, constant, eps, number, real},
 };
 
-/// Samples of a line when the engine's root is looked for on it.
+/// Samples of a line when the engine's root is sought on it.
 const SAMPLES: usize = 512;
 
-/// A seam vertex in its new place.
+/// A seam vertex at its new position.
 pub struct DualSeam {
-    /// Where it is, m.
+    /// Position, m.
     pub position: Vector,
     /// Its parameters on each of its owners.
     pub at: Vec<At>,
 }
 
-/// The seams: set-up, components in the reference state and deformed.
+/// The seams with the components in the reference and in the deformed state.
 pub struct DualSeams<'a> {
     /// The search.
     pub solver: &'a SeamSolver,
@@ -95,7 +95,7 @@ impl DualSeams<'_> {
         let at = |lambda: Dual| reference.walk_both(&start, line.direction.map(|d| lambda * d));
         let own = vertex.owners.iter().position(|&o| o == line.reference).unwrap_or(0);
         let lambda = self.lambda(vertex, line, reference, &start, found, own)?;
-        // How the line goes on there, as a derivative along the first direction.
+        // The derivative with respect to lambda, along the first direction.
         let fixed = At::fixed(&start.location());
         let moving = number(lambda, |k| if k == 0 { 1.0 } else { 0.0 });
         let along = reference.walk_both(&fixed, line.direction.map(|d| moving * d));

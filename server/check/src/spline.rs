@@ -1,12 +1,11 @@
-//! Spline surfaces in any kind of number, written from the definitions: the Cox-de Boor recurrence, derivatives of the basis
-//! from the basis of one degree less, and the quotient rule for weights. Nothing is shared with the evaluation that it
-//! checks but the knots.
+//! Spline surfaces in any kind of number, from the definitions: the Cox-de Boor recurrence, derivatives of the basis from the
+//! basis of one degree less, and the quotient rule for weights. Only the knots are shared with the evaluation under test.
 
 use moldline_spline::{KnotVector, MAX_DEGREE, Surface};
 use nalgebra::Vector3;
 use num_dual::DualNum;
 
-/// What a surface can be evaluated in.
+/// A kind of number in which a surface can be evaluated.
 pub trait Number: DualNum<Primitive = f64> + nalgebra::Scalar + Copy {}
 
 impl<T: DualNum<Primitive = f64> + nalgebra::Scalar + Copy> Number for T {}
@@ -24,7 +23,7 @@ pub struct Jet<T> {
     pub second: [Vector3<T>; 3],
 }
 
-/// Index `s` of the knot interval `t_s <= u < t_(s+1)` that a parameter lies in.
+/// Index `s` of the knot interval `t_s <= u < t_(s+1)` that contains a parameter.
 fn span(knots: &KnotVector, u: f64) -> usize {
     let t = knots.knots();
     let last = knots.control_point_count();
@@ -86,7 +85,7 @@ fn basis<T: Number>(knots: &KnotVector, u: T, order: usize) -> (usize, [[T; SIZE
 }
 
 /// A surface with homogeneous control points `[w x, w y, w z, w]` at a pair of parameters, with derivatives up to `order`;
-/// those of higher order are zero. Parameters are not clamped: beyond a side the outermost polynomial goes on.
+/// those of higher order are zero. Parameters are not clamped: beyond a side the outermost polynomial continues.
 pub fn jet<T: Number>(surface: &Surface, points: &[[T; 4]], u: T, v: T, order: usize) -> Jet<T> {
     let (p, q) = (surface.knots_u().degree(), surface.knots_v().degree());
     let columns = surface.knots_v().control_point_count();

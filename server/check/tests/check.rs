@@ -11,11 +11,11 @@ use moldline_check::{
 };
 use moldline_deform::{DeformError, NoMonitor, Setup};
 
-/// A linearisation by its whole Jacobian, from dual numbers, with a mistake.
+/// A linearisation given by its whole Jacobian, from dual numbers, with an error.
 struct Jacobian {
     evaluation: Evaluation,
     mistake: fn(&mut Stages),
-    /// A factor on what the adjoint gives.
+    /// A factor on the adjoint product.
     adjoint: f64,
 }
 
@@ -133,7 +133,7 @@ fn a_mistake_is_found_and_named() {
         let found = check(&setup, &linear, &design);
         assert!(found.variables.iter().all(|v| v.first_off == Some(step)), "{step:?}: {:?}", found.variables);
     }
-    // The last of them is one of the whole result.
+    // An error in the last step shows in the whole result.
     let found = check(&setup, &linear, &design);
     assert!((0.9e-8..1.1e-8).contains(&found.dual_max()));
     assert!(found.dot_product_max() < 1e-13, "the transpose of a wrong matrix is a transpose");
@@ -159,7 +159,7 @@ fn far_designs_are_far_and_inside() {
 
 #[test]
 fn a_check_can_be_cancelled() {
-    /// Loses interest when asked for the third time.
+    /// Cancels at the third poll.
     struct Impatient(AtomicUsize);
     impl Watch for Impatient {
         fn progress(&self, _: Phase, _: f64) {}
@@ -176,8 +176,8 @@ fn a_check_can_be_cancelled() {
     assert!(matches!(outcome, Err(CheckError::Deform(DeformError::Cancelled))));
 }
 
-/// At the baseline of the half model vertices lie on the crease between the panels of its wing, at y = 1.6 m, and motion takes
-/// them over it.
+/// At the baseline of the half model vertices lie on the crease between the panels of its wing, at y = 1.6 m, and move
+/// across it.
 #[test]
 fn a_kink_is_named_and_hides_no_mistake() {
     let setup = setup("tests/configurations/half", |_| {});
@@ -201,7 +201,7 @@ fn a_kink_is_named_and_hides_no_mistake() {
             assert!((setup.positions()[v].y - 1.6).abs() < 1e-9, "vertex {v}");
         }
     }
-    // Neither at the kink nor elsewhere is a derivative accepted that is none.
+    // A wrong derivative is accepted neither at the kink nor elsewhere.
     let kink = right.variables[0].kink.clone().expect("there is one");
     assert_eq!(kink.worst, WORST);
     linear.mistake = |stages| stages.vertices[WORST].x += 1e-3;

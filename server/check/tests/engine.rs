@@ -68,7 +68,7 @@ fn smoothing() {
 
 #[test]
 fn e175() {
-    // With the linear kernel, and with the cubic one.
+    // With the multiquadric kernel, and with the cubic one.
     for propagation in [Propagation::Surface, Propagation::Departure] {
         let setup = setup("examples/e175", |options| options.propagation = propagation);
         passes(setup, 0.25, &[2, 20, 38, 42, 43, 44], &format!("e175, {propagation:?}"), 1e-6);

@@ -11,8 +11,9 @@ use std::{
     time::Instant,
 };
 
-use moldline_deform::{Kernel, NoMonitor, OuterMoldLine, Setup, SetupInput, Tangent, rbf::RadialBasis};
+use moldline_deform::{Kernel, NoMonitor, OuterMoldLine, Setup, SetupInput, Tangent};
 use moldline_geometry::{Block, Body, Location};
+use moldline_rbf::RadialBasis;
 use moldline_setup::{Files, Limits, read_folder, read_setup};
 use moldline_spline::Vector3;
 use serde_json::{Value, json};

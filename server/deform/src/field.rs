@@ -3,12 +3,10 @@
 
 use moldline_geometry::{Block, block::add_row};
 use moldline_mesh::Plane;
+use moldline_rbf::{Factors, Kernel, RadialBasis, RbfError};
 use moldline_spline::Vector3;
 
-use crate::{
-    rbf::{Factors, Kernel, RadialBasis, RbfError},
-    training::TrainingVertex,
-};
+use crate::training::TrainingVertex;
 
 /// The mirror that completes a half model.
 #[derive(Clone, Debug)]
@@ -39,7 +37,7 @@ impl Field {
     /// Where `found` has the factors of this system, they are taken.
     ///
     /// # Errors
-    /// [`RbfError`] if the training vertices coincide or lie in one plane.
+    /// [`RbfError`] if the system of the training vertices cannot be factorised.
     pub fn new(
         training: Vec<TrainingVertex>,
         reference: &[Vector3],
@@ -92,9 +90,9 @@ impl Field {
         &self.mirror_signs
     }
 
-    /// c^2 of the linear kernel, in units of the extent of the centres.
-    pub fn rounding(&self) -> f64 {
-        self.basis.rounding()
+    /// c^2 of the multiquadric, in units of the squared extent of the centres.
+    pub fn shape_squared(&self) -> f64 {
+        self.basis.shape_squared()
     }
 
     /// Bytes held by the factorisation.

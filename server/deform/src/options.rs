@@ -1,6 +1,8 @@
 //! What a user may choose about a set-up.
 
-use crate::{SetupError, rbf::Kernel};
+use moldline_rbf::Kernel;
+
+use crate::SetupError;
 
 /// The surface on which the deformed mesh ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -132,7 +134,7 @@ impl Options {
     pub fn kernel(&self) -> Kernel {
         self.kernel.unwrap_or(match self.propagation {
             Propagation::Absolute | Propagation::Departure => Kernel::Cubic,
-            Propagation::Surface => Kernel::Linear,
+            Propagation::Surface => Kernel::Multiquadric,
         })
     }
 

@@ -8,6 +8,7 @@ use moldline_mesh::{
     topology::enclosed_volume,
 };
 use moldline_parameterisation::Parameterisation;
+use moldline_rbf::Factors;
 use moldline_spline::Vector3;
 use rayon::prelude::*;
 
@@ -18,7 +19,6 @@ use crate::{
     inspection::Inspection,
     outputs::{Function, Measured, OutputDeclaration, Outputs},
     ownership::{Freedom, Ownership, OwnershipParts},
-    rbf::Factors,
     report::{ComponentSummary, FieldSummary, ProtectedSummary, SetupReport, Symmetry},
     seam::SeamSolver,
     seam_setup::{FoundLine, found_lines, seam_solver},

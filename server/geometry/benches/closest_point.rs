@@ -12,7 +12,7 @@ const COUNT: usize = 15_000;
 
 /// Half of the points within a hundredth of the wing's size from its surface, half anywhere around it.
 fn points(wing: &Body) -> Vec<Vector3> {
-    let mut random = Random(1);
+    let mut random = Random::new(1);
     let bounds = wing.bounds();
     let extent = (bounds.high - bounds.low).add_scalar(5.0);
     (0..COUNT)

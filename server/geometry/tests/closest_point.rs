@@ -37,7 +37,7 @@ fn scattered(b: &Body, count: usize, random: &mut Random) -> Vec<Vector3> {
 
 fn check_against_exhaustive(b: &Body, count: usize, seed: u64) {
     let reference = Exhaustive::new(b, 8, 40);
-    let mut random = Random(seed);
+    let mut random = Random::new(seed);
     let mut wrong = Vec::new();
     for x in scattered(b, count, &mut random) {
         let foot = b.closest_point(&x);
@@ -79,7 +79,7 @@ fn bar_is_never_beaten_by_exhaustive_search() {
 /// distance from the surface) cannot change the answer.
 fn check_signs(b: &Body, per_interval: [usize; 2], count: usize, seed: u64, error: f64) {
     let triangulation = Triangulation::new(b, per_interval);
-    let mut random = Random(seed);
+    let mut random = Random::new(seed);
     let (mut checked, mut off_face) = (0, 0);
     for x in scattered(b, count, &mut random) {
         let foot = b.closest_point(&x);
@@ -136,7 +136,7 @@ fn primitives_have_their_analytic_distances() {
             };
             let (component, points) = Component::primitive("p".into(), &p).expect("valid");
             let b = Body::new(component.into(), points);
-            let mut random = Random(21);
+            let mut random = Random::new(21);
             for x in scattered(&b, 2000, &mut random) {
                 let (ours, exact) = (b.signed_distance(&x), p.signed_distance(&x));
                 assert!(
@@ -166,7 +166,7 @@ fn points_with_a_continuum_of_nearest_points_get_one_of_them() {
 #[test]
 fn distances_within_a_bound() {
     let b = body("wing", wing_patches(Trailing::Wedge));
-    let mut random = Random(31);
+    let mut random = Random::new(31);
     for x in scattered(&b, 2000, &mut random) {
         let foot = b.closest_point(&x);
         let d = foot.distance.abs();
@@ -179,7 +179,7 @@ fn distances_within_a_bound() {
 #[test]
 fn near_a_good_hint_the_local_foot_point_is_the_global_one() {
     for b in [body("wing", wing_patches(Trailing::Wedge)), body("fuselage", fuselage_patches())] {
-        let mut random = Random(41);
+        let mut random = Random::new(41);
         let (mut tried, mut found) = (0, 0);
         for x in scattered(&b, 3000, &mut random) {
             let foot = b.closest_point(&x);
@@ -232,7 +232,7 @@ fn foot_points_along_an_edge() {
         .find(|(_, e)| e.sharp && e.sides.iter().all(|s| s.side == Side::UMin))
         .expect("a trailing edge");
     assert_eq!(e.sides.len(), 2);
-    let mut random = Random(51);
+    let mut random = Random::new(51);
     for _ in 0..500 {
         let on = Location { patch: 0, u: 0.0, v: random.between(0.02, 0.98) };
         let x = b.position(&on) + random.vector(0.2);

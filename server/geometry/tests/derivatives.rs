@@ -52,7 +52,7 @@ fn bodies() -> Vec<(Body, f64)> {
 
 #[test]
 fn surface_points_are_linear_in_the_control_points() {
-    let mut random = Random(3);
+    let mut random = Random::new(3);
     for (b, _) in bodies() {
         let direction = random_motion(&b, &mut random);
         let next = moved(&b, &direction, 1.0);
@@ -73,7 +73,7 @@ fn surface_points_are_linear_in_the_control_points() {
 
 #[test]
 fn distance_normal_and_parameters_change_as_differences_do() {
-    let mut random = Random(11);
+    let mut random = Random::new(11);
     let mut on_edges = 0;
     for (b, spread) in bodies() {
         let mut checked = 0;
@@ -95,8 +95,11 @@ fn distance_normal_and_parameters_change_as_differences_do() {
             let steps = [-2.0 * h, -h, h, 2.0 * h].map(|t| {
                 SignedDistance::new(&moved(&b, &direction, t)).eval_near(&(x + dx * t), &value.foot.location)
             });
+            // At a collapsed side control points that coincide move apart, and the foot point may jump between them.
             let same = |p: &SignedDistancePoint| {
-                p.foot.feature == value.foot.feature && p.foot.location.patch == value.foot.location.patch
+                let (here, there) = (p.foot.location, value.foot.location);
+                let jump = (here.u - there.u).abs().max((here.v - there.v).abs());
+                p.foot.feature == value.foot.feature && here.patch == there.patch && jump < 0.1
             };
             if !steps.iter().all(same) || value.phi.abs() < 1e-3 {
                 continue;
@@ -121,7 +124,7 @@ fn distance_normal_and_parameters_change_as_differences_do() {
 
 #[test]
 fn products_with_the_transpose_agree() {
-    let mut random = Random(12);
+    let mut random = Random::new(12);
     let dot = |a: &FootChange, b: &FootChange| {
         a.x.dot(&b.x) + a.s.dot(&b.s) + a.s_uv[0].dot(&b.s_uv[0]) + a.s_uv[1].dot(&b.s_uv[1])
     };
@@ -155,7 +158,7 @@ fn a_sphere_has_the_hessian_of_its_distance() {
     let sphere = Primitive::Sphere { center: Vector3::zeros(), radius: 2.0 };
     let (component, points) = Component::primitive("sphere".into(), &sphere).expect("valid");
     let b = Body::new(component.into(), points);
-    let mut random = Random(13);
+    let mut random = Random::new(13);
     for _ in 0..50 {
         let n = random.vector(1.0).normalize();
         let x = n * random.between(1.0, 3.0);
@@ -171,7 +174,7 @@ fn a_sphere_has_the_hessian_of_its_distance() {
 
 #[test]
 fn the_union_changes_as_differences_do() {
-    let mut random = Random(14);
+    let mut random = Random::new(14);
     for rho in [0.7, 4.0] {
         let union = SmoothUnion { rho };
         let parts: Vec<(f64, Vector3)> =

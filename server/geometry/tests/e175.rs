@@ -48,7 +48,7 @@ fn foot_points_on_the_wing_are_never_beaten_by_exhaustive_search() {
     let bounds = b.bounds();
     let extent = (bounds.high - bounds.low).add_scalar(0.2 * b.size());
     let reference = Exhaustive::new(&b, 6, 40);
-    let mut random = Random(7);
+    let mut random = Random::new(7);
     let mut wrong = Vec::new();
     for k in 0..15_000 {
         let x = if k % 2 == 0 {
@@ -73,7 +73,7 @@ fn foot_points_on_the_wing_are_never_beaten_by_exhaustive_search() {
 fn descent_slides_along_the_fuselage_from_far_hints() {
     let b = e175("fuselage");
     let [u, _] = b.component().patches()[0].surface.domain();
-    let mut random = Random(5);
+    let mut random = Random::new(5);
     let mut tried = 0;
     while tried < 2000 {
         let target = anywhere(&b, &mut random);
@@ -106,7 +106,7 @@ fn descent_from_a_good_hint_finds_the_foot_point_on_the_wing() {
     let b = e175("wing");
     let bounds = b.bounds();
     let extent = (bounds.high - bounds.low).add_scalar(0.2 * b.size());
-    let mut random = Random(9);
+    let mut random = Random::new(9);
     for _ in 0..5000 {
         let x = bounds.center() + random.vector(0.5).component_mul(&extent);
         let foot = b.closest_point(&x);

@@ -26,7 +26,7 @@ fn union_at(union: &SmoothUnion, x: &Vector3) -> SmoothUnionPoint {
 
 #[test]
 fn union_of_spheres_has_the_value_and_the_weights_of_its_formula() {
-    let mut random = Random(1);
+    let mut random = Random::new(1);
     for rho in [0.5, 5.0, 20.0] {
         let union = SmoothUnion { rho };
         for _ in 0..500 {
@@ -90,7 +90,7 @@ fn the_fillet_is_the_distance_from_a_right_angled_seam_along_the_bisector() {
 
 #[test]
 fn gradients_of_unions_agree_with_central_differences() {
-    let mut random = Random(2);
+    let mut random = Random::new(2);
     let union = SmoothUnion { rho: 4.0 };
     let h = 1e-5;
     for _ in 0..500 {
@@ -115,7 +115,7 @@ fn gradients_of_distances_are_the_outward_normals_of_spheres_and_capsules() {
     let sphere = primitive(&Primitive::Sphere { center: start, radius });
     let capsule = primitive(&Primitive::Capsule { start, end, radius });
     let axis = end - start;
-    let mut random = Random(3);
+    let mut random = Random::new(3);
     for _ in 0..1000 {
         let x = (start + end) * 0.5 + random.vector(3.0);
         let fraction = ((x - start).dot(&axis) / axis.norm_squared()).clamp(0.0, 1.0);
@@ -137,7 +137,7 @@ fn gradients_of_distances_are_the_outward_normals_of_spheres_and_capsules() {
 #[test]
 fn gradients_of_distances_agree_with_central_differences_off_faces_and_edges() {
     let b = body("wing", wing_patches(Trailing::Wedge));
-    let mut random = Random(4);
+    let mut random = Random::new(4);
     let (h, mut off_face, mut on_face) = (1e-5, 0, 0);
     while off_face < 100 || on_face < 300 {
         let l =

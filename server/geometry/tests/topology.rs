@@ -203,7 +203,7 @@ fn user_control_points_map_linearly_and_exactly() {
         assert!(user.iter().any(|q| q[..] == p[..3]) && p[3] == 1.0);
     }
     // The transpose.
-    let mut random = Random(5);
+    let mut random = Random::new(5);
     let mut block = |count: usize| {
         let mut block = Block::zeros(count, 6);
         block.data_mut().iter_mut().for_each(|x| *x = random.between(-1.0, 1.0));

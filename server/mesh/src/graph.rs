@@ -1,4 +1,4 @@
-//! Distances along mesh edges from many sources at once (Dijkstra).
+//! Shortest paths along mesh edges from many sources at once, by Dijkstra's algorithm.
 
 use std::{
     cmp::{Ordering, Reverse},
@@ -7,24 +7,24 @@ use std::{
 
 use crate::{Csr, Topology, Vector3};
 
-/// No source can be reached.
+/// In place of a source: none can be reached.
 pub const UNREACHED: u32 = u32::MAX;
 
-/// Distance to the nearest source, and which it is.
+/// The nearest source and its distance.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NearestSource {
     /// Length of the shortest path, `INFINITY` where there is none.
     pub distance: Vec<f64>,
-    /// The source's vertex, [`UNREACHED`] where there is none; the smallest of equally near ones.
+    /// The source's vertex, [`UNREACHED`] where there is none; of equally near ones the smallest.
     pub source: Vec<u32>,
 }
 
 /// Up to k sources of each vertex with their distances, nearest first.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NearestSources {
-    /// The sources' vertices, one row a vertex.
+    /// The sources' vertices, a row for each vertex.
     pub sources: Csr,
-    /// Lengths of the shortest paths, beside `sources.items`.
+    /// Lengths of the shortest paths, in the order of `sources.items`.
     pub distances: Vec<f64>,
 }
 
@@ -35,8 +35,8 @@ impl NearestSources {
     }
 }
 
-/// Shortest paths along edges from the nearest of `sources`, `INFINITY` where no path leads. Paths visit only vertices
-/// that `allowed` admits; sources that it does not admit are left out.
+/// Lengths of the shortest paths along edges from the nearest of `sources`, `INFINITY` where there is no path. Paths visit only
+/// vertices that `allowed` admits; other sources are left out.
 ///
 /// # Panics
 /// If a source is not a vertex.
@@ -49,7 +49,7 @@ pub fn graph_distance(
     nearest_source(topology, vertices, sources, allowed).distance
 }
 
-/// As [`graph_distance`], with the source that is nearest.
+/// As [`graph_distance`], with the nearest source.
 ///
 /// # Panics
 /// If a source is not a vertex.
@@ -75,7 +75,7 @@ pub fn nearest_source(
     nearest
 }
 
-/// The `k` nearest sources of each vertex within `radius`, fewer where fewer are reached.
+/// The `k` nearest sources of each vertex within `radius`, or fewer if fewer are reached.
 ///
 /// # Panics
 /// If a source is not a vertex.
@@ -106,7 +106,7 @@ pub fn nearest_sources(
     nearest
 }
 
-/// A path's end that waits for its turn; ordered by distance, then by indices so that ties are settled alike always.
+/// The end of a path in the queue; ordered by distance, then by indices, so that ties are always resolved in the same way.
 #[derive(Clone, Copy, PartialEq)]
 struct Front {
     distance: f64,
@@ -129,7 +129,7 @@ impl PartialOrd for Front {
     }
 }
 
-/// Dijkstra's algorithm: offers path ends in order of distance, and goes on from those that `settle` takes.
+/// Dijkstra's algorithm: offers path ends in order of distance, and continues from those that `settle` accepts.
 fn spread(
     topology: &Topology,
     vertices: &[[f64; 3]],

@@ -1,8 +1,8 @@
-//! Points hashed by the cube they lie in, to find neighbours within a small radius.
+//! A spatial hash: points by the cube that contains them, to find neighbours within a small radius.
 
 use std::collections::HashMap;
 
-/// Side of the cubes in radii: so large that a ball seldom reaches into several, so small that few points share one.
+/// Side of the cubes in radii: large enough that a ball seldom meets several, small enough that few points share one.
 const SIDE: f64 = 4.0;
 
 /// Finds the points within a radius.
@@ -15,7 +15,7 @@ pub(crate) struct HashGrid {
 impl HashGrid {
     /// An empty grid for queries within `radius`, for coordinates up to `extent`.
     pub(crate) fn new(radius: f64, extent: f64) -> Self {
-        // Cubes far smaller than the coordinates' rounding would overflow the integers that number them.
+        // Numbers of cubes far smaller than the coordinates' rounding would overflow.
         let size = SIDE * radius.max(1e-15 * extent).max(f64::MIN_POSITIVE);
         Self { radius, size, cubes: HashMap::new() }
     }
@@ -26,9 +26,9 @@ impl HashGrid {
 
     /// The inserted point nearest to `x` within the radius, the smallest index of equally near ones.
     pub(crate) fn nearest(&self, x: &[f64; 3], positions: &[[f64; 3]]) -> Option<u32> {
-        // A hair more than the radius, for the rounding of distances.
+        // Slightly more than the radius, for the rounding of distances.
         let reach = 1.0001 * self.radius;
-        // Less than the side of a cube, so that there are two of them in a direction at most.
+        // Less than the side of a cube, so at most two cubes in each direction.
         let [i, j, k] = x.map(|x| {
             let first = self.cube(x - reach);
             first..=self.cube(x + reach).clamp(first, first.saturating_add(1))

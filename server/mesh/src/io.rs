@@ -1,7 +1,7 @@
 //! Readers and writers of mesh formats, on byte slices: no file is opened here.
 //!
-//! Readers check each count against the bytes that are left before they allocate, and return errors with the line or the
-//! byte offset where the file is wrong. What is not a triangle or a quadrilateral is left out and counted.
+//! Readers check each count against the remaining bytes before they allocate, and return errors with the line or the
+//! byte offset of the fault. Cells other than triangles and quadrilaterals are left out and counted.
 
 mod cursor;
 pub mod msh;
@@ -14,12 +14,12 @@ use thiserror::Error;
 
 use crate::{Cell, Group, Limits, MeshError, SurfaceMesh};
 
-/// A mesh as read, and what was left out.
+/// A mesh as read, with counts of what was left out.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Imported {
     /// The surface.
     pub mesh: SurfaceMesh,
-    /// The name each vertex has in the file: its node tag (MSH), its index (VTU), its first corner (STL).
+    /// Each vertex's identifier in the file: its node tag (MSH), its index (VTU), its first corner (STL).
     pub vertex_ids: Vec<u64>,
     /// Vertices of the file that belong to no triangle or quadrilateral, and were left out.
     pub ignored_vertices: usize,
@@ -27,7 +27,7 @@ pub struct Imported {
     pub ignored_cells: usize,
 }
 
-/// Where in a file.
+/// A position in a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Place {
     /// Line, from 1.
@@ -45,17 +45,17 @@ impl fmt::Display for Place {
     }
 }
 
-/// Why a file is refused.
+/// Why a file is rejected.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum ReadError {
-    /// Something else stands where a value or word is due.
+    /// Something other than the expected value or word.
     #[error("{place}: expected {expected}, found `{found}`")]
     Unexpected {
         /// Where.
         place: Place,
-        /// What is due.
+        /// The value or word expected.
         expected: String,
-        /// What is there, shortened.
+        /// The text found, shortened.
         found: String,
     },
     /// The file ends too early.
@@ -63,10 +63,10 @@ pub enum ReadError {
     Truncated {
         /// Where.
         place: Place,
-        /// What is due.
+        /// The value or word expected.
         expected: String,
     },
-    /// A count that the rest of the file, or the limit, cannot hold.
+    /// A count that exceeds the rest of the file, or the limit.
     #[error("{place}: {count} {what} are more than the {limit} that the file's length or the limits allow")]
     TooMany {
         /// Where.
@@ -75,15 +75,15 @@ pub enum ReadError {
         what: &'static str,
         /// The count that the file states.
         count: u64,
-        /// How many there can be.
+        /// Largest count possible.
         limit: u64,
     },
-    /// Valid, but not read here.
+    /// A valid feature that is not supported.
     #[error("{place}: {what} is not supported; {advice}")]
     Unsupported {
         /// Where.
         place: Place,
-        /// What.
+        /// The feature.
         what: String,
         /// The way out.
         advice: &'static str,
@@ -99,10 +99,10 @@ pub enum ReadError {
     /// A part is missing.
     #[error("the file has no {what}")]
     Missing {
-        /// Which.
+        /// The missing part.
         what: &'static str,
     },
-    /// The file is read, but what it holds is not a valid mesh.
+    /// The file is well-formed, but its mesh is not valid.
     #[error(transparent)]
     Mesh(#[from] MeshError),
 }
@@ -116,7 +116,7 @@ impl ReadError {
     }
 }
 
-/// What a reader has found: nodes that cells may or may not use, and groups whose indices may repeat.
+/// A reader's raw result: nodes that cells may or may not use, and groups whose indices may repeat.
 #[derive(Default)]
 struct Draft {
     ids: Vec<u64>,

@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use crate::{Csr, Topology, Vector3};
 
-/// Rows a task takes at once.
+/// Rows of one task.
 const CHUNK: usize = 2048;
 
 /// A sparse `L = I - W`: row `i` of `W` holds positive weights of the neighbours of vertex `i` that sum to one. Rows of
@@ -26,12 +26,11 @@ impl Laplacian {
         })
     }
 
-    /// Mean value weights (Floater 2003, eq. 2.1) of the neighbours, turned into each vertex's tangent plane: positive,
-    /// and on the mesh they are made from the weighted mean of the neighbours differs from the vertex along its normal
-    /// only.
+    /// Mean value weights (Floater 2003, eq. 2.1) of the neighbours, rotated into each vertex's tangent plane. They are
+    /// positive, and on the given mesh the weighted mean of the neighbours differs from the vertex along its normal only.
     ///
     /// `normals`: one per vertex, of any length. Where the neighbours leave a gap of half a turn or more (boundaries, or
-    /// a vertex outside its neighbours' polygon) the two beside the gap are taken, weighted inversely to their distance.
+    /// a vertex outside its neighbours' polygon) only the two beside the gap count, weighted inversely to their distance.
     ///
     /// # Panics
     /// If there are fewer vertices or normals than the topology has.
@@ -181,7 +180,7 @@ fn mean_value_weights(
     spokes.extend(neighbours.iter().map(|&neighbour| {
         let r = spoke(neighbour);
         let (a, b) = (r.dot(&first), r.dot(&second));
-        // A spoke of no length would have an infinite weight.
+        // A spoke of length zero would have an infinite weight.
         Spoke { angle: b.atan2(a), length: a.hypot(b).max(1e-6 * r.norm()).max(f64::MIN_POSITIVE), neighbour }
     }));
     spokes.sort_by(|a, b| a.angle.total_cmp(&b.angle).then(a.neighbour.cmp(&b.neighbour)));

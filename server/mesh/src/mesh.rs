@@ -1,5 +1,6 @@
 //! Cells, groups and the validated surface mesh.
 
+use moldline_foundation::Failure;
 use thiserror::Error;
 
 /// Marks the missing fourth vertex of a triangle.
@@ -65,7 +66,7 @@ pub struct Group {
     pub indices: Vec<u32>,
 }
 
-/// What is accepted at most, so that a request cannot exhaust the machine.
+/// Limits on a mesh, so that a request cannot exhaust the machine.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
     /// Number of vertices.
@@ -84,10 +85,10 @@ impl Default for Limits {
     }
 }
 
-/// Why a surface mesh is refused.
+/// Why a surface mesh is rejected.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum MeshError {
-    /// Nothing to work on.
+    /// No vertices or no cells.
     #[error("the mesh has no {what}")]
     Empty {
         /// `vertices` or `cells`.
@@ -98,9 +99,9 @@ pub enum MeshError {
     TooMany {
         /// What is counted.
         what: &'static str,
-        /// How many there are.
+        /// Their number.
         count: usize,
-        /// How many are allowed.
+        /// Largest number allowed.
         limit: usize,
     },
     /// A coordinate is NaN, infinite or larger than the limit.
@@ -142,7 +143,7 @@ pub enum MeshError {
     /// Vertices that belong to no cell.
     #[error("{count} vertices belong to no cell, the first is vertices[{first}]; remove them")]
     UnusedVertices {
-        /// How many.
+        /// Number of such vertices.
         count: usize,
         /// Index of the first.
         first: usize,
@@ -161,7 +162,7 @@ pub enum MeshError {
         /// Number of cells or vertices.
         count: usize,
     },
-    /// Two groups of one kind with one name.
+    /// Two groups of the same kind and name.
     #[error("there are two {kind} groups named `{group}`; merge or rename them")]
     DuplicateGroup {
         /// `cell` or `vertex`.
@@ -169,6 +170,21 @@ pub enum MeshError {
         /// The name.
         group: String,
     },
+}
+
+impl Failure for MeshError {
+    fn field(&self) -> Option<String> {
+        Some(match self {
+            Self::Empty { what } | Self::TooMany { what, .. } => what.replace(' ', "_"),
+            Self::Coordinate { vertex, axis, .. } => format!("vertices[{vertex}][{axis}]"),
+            Self::VertexOutOfRange { cell, corner, .. } => format!("cells[{cell}][{corner}]"),
+            Self::RepeatedVertex { cell, .. } => format!("cells[{cell}]"),
+            Self::UnusedVertices { first, .. } => format!("vertices[{first}]"),
+            Self::GroupIndexOutOfRange { kind, .. } | Self::DuplicateGroup { kind, .. } => {
+                format!("{kind}_groups")
+            }
+        })
+    }
 }
 
 /// A surface mesh whose indices and coordinates have been checked.

@@ -1,4 +1,4 @@
-//! Area vectors of cells, and what they sum to at vertices.
+//! Area vectors of cells, and vertex normals as their sums.
 
 use crate::{Cell, Vector3};
 

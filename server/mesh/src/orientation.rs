@@ -1,10 +1,10 @@
-//! Giving all cells of a surface one orientation.
+//! Consistent orientation of the cells of a surface.
 
 use thiserror::Error;
 
 use crate::{Cell, Csr, Plane, Topology, topology::enclosed_volume};
 
-/// Why cells cannot be oriented alike.
+/// Why cells cannot be oriented consistently.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum OrientationError {
     /// A one-sided surface, such as a Moebius band.
@@ -17,21 +17,21 @@ pub enum OrientationError {
     },
 }
 
-/// Flips cells so that neighbours across every edge with two cells agree; in each patch connected that way the
-/// orientation of the majority stays. Edges with three or more cells separate patches. Returns which cells were flipped.
+/// Flips cells so that neighbours across every edge with two cells agree; each patch connected by such edges keeps the
+/// orientation of its majority. Edges with three or more cells separate patches. Returns which cells were flipped.
 /// `topology` is that of the cells; of its fields `inconsistent_edges` alone depends on their orientation, and is stale
 /// afterwards.
 ///
 /// # Errors
-/// [`OrientationError::OneSided`]; the cells are then left as they were.
+/// [`OrientationError::OneSided`]; the cells are then unchanged.
 pub fn orient(cells: &mut [Cell], topology: &Topology) -> Result<Vec<bool>, OrientationError> {
     let flips = Flips::find(cells, topology)?;
     flips.apply(cells);
     Ok(flips.flipped)
 }
 
-/// As [`orient`], then turns every patch outwards that is closed, or closed by the symmetry plane (given with a tolerance in
-/// m): positive enclosed volume. The shell of a cavity is turned away from the cavity, too.
+/// As [`orient`], then orients outwards (to positive enclosed volume) every patch that is closed, or closed by the symmetry plane
+/// (given with a tolerance in m). The shell of a cavity, too, points away from the cavity.
 ///
 /// # Errors
 /// As [`orient`].

@@ -7,13 +7,13 @@ use rayon::prelude::*;
 
 use crate::{Cell, Csr, Vector3};
 
-/// Aspect ratios from here on are counted as bad.
+/// Aspect ratios above this count as bad.
 pub const BAD_ASPECT_RATIO: f64 = 5.0;
 
-/// Value of a ratio whose denominator vanishes; the largest ratio there is.
+/// Value of a ratio whose denominator vanishes; no ratio is larger.
 pub const DEGENERATE: f64 = 1e30;
 
-/// Cells that one task measures at least.
+/// Least number of cells of one task.
 const MIN_CELLS: usize = 512;
 
 /// The measures of one cell. A cell with a coordinate that is not finite gets the worst values.
@@ -34,7 +34,7 @@ pub struct CellQuality {
     /// Least sine of a corner angle as seen along the surface normal n: `min (a x b) . n / (|a| |b|)` over the corners'
     /// edges a, b; of a triangle times 2/sqrt(3). 1 is best, negative is inverted.
     pub scaled_jacobian: f64,
-    /// The cell's area vector (Newell) points against the surface normal.
+    /// Whether the cell's area vector (Newell) points against the surface normal.
     pub folded: bool,
 }
 
@@ -104,7 +104,7 @@ impl CellQuality {
         let longest = lengths.iter().fold(0.0, |a: f64, &b| a.max(b));
         let shortest = lengths.iter().fold(f64::INFINITY, |a: f64, &b| a.min(b));
         let folded = area_vector.dot(normal) < 0.0;
-        // A corner at an edge of no length has no angle: it takes the worst of both ends.
+        // A corner at an edge of length zero has no angle: it takes the worst of both ends.
         let (mut largest_cosine, mut least_cosine, mut least_sine) = (-1.0_f64, 1.0_f64, 1.0_f64);
         let mut reflex_cosine: Option<f64> = None;
         if shortest < TINY {
@@ -127,7 +127,7 @@ impl CellQuality {
         }
         let min_angle = largest_cosine.acos().to_degrees();
         let max_angle = match reflex_cosine {
-            // The most reflex corner is the one whose sides enclose least from outside.
+            // The most reflex corner is the one with the least exterior angle between its sides.
             Some(cosine) => 360.0 - cosine.acos().to_degrees(),
             None => least_cosine.acos().to_degrees(),
         };
@@ -145,7 +145,7 @@ impl CellQuality {
     }
 }
 
-/// Below this a length or area is nothing, as in Verdict.
+/// Lengths and areas below this count as zero, as in Verdict.
 const TINY: f64 = 1e-30;
 
 fn ratio(numerator: f64, denominator: f64) -> f64 {
@@ -168,10 +168,10 @@ pub struct Distribution {
     pub above_5_percent: f64,
 }
 
-/// What is said of a set of cells.
+/// The quality of a set of cells.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Summary {
-    /// How many cells.
+    /// Number of cells.
     pub cells: usize,
     /// Verdict's aspect ratio.
     pub aspect_ratio: Distribution,
@@ -229,7 +229,7 @@ impl Distribution {
     }
 }
 
-/// From the nearer end, so that both ends are met exactly.
+/// Linear interpolation from the nearer end, so that both ends are exact.
 fn interpolate(lower: f64, upper: f64, t: f64) -> f64 {
     if t < 0.5 { lower + t * (upper - lower) } else { upper - (1.0 - t) * (upper - lower) }
 }
@@ -282,7 +282,7 @@ impl QualityReport {
         Some(Self { total, per_component })
     }
 
-    /// This report beside a reference, such as that of the set-up mesh, as a table.
+    /// A table of this report beside a reference, such as that of the set-up mesh.
     pub fn compared_with<'a>(&'a self, reference: &'a QualityReport) -> impl fmt::Display + 'a {
         Comparison { report: self, reference }
     }
@@ -390,7 +390,7 @@ fn write_table(f: &mut fmt::Formatter<'_>, rows: Vec<[String; COLUMNS]>) -> fmt:
     ];
     let widths: [usize; COLUMNS] = std::array::from_fn(|k| {
         let cells = rows.iter().map(|row| row[k].chars().count());
-        // A heading of two words runs on over the columns to its right.
+        // A heading of two words extends over the columns to its right.
         cells.chain([names[k].len()]).max().unwrap_or(0)
     });
     let mut heading = String::new();

@@ -11,7 +11,7 @@ pub struct Plane {
     offset: f64,
 }
 
-/// Why there is no plane, or no pairing.
+/// Why a plane is not valid, or vertices cannot be paired.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum SymmetryError {
     /// The normal has no direction.
@@ -28,11 +28,11 @@ pub enum SymmetryError {
          mirror one half of the mesh, or raise the tolerance"
     )]
     Unpaired {
-        /// How many.
+        /// Number of such vertices.
         count: usize,
         /// Index of the first.
         vertex: usize,
-        /// Where the first one is.
+        /// Position of the first, m.
         position: [f64; 3],
         /// The tolerance, m.
         tolerance: f64,
@@ -40,7 +40,7 @@ pub enum SymmetryError {
 }
 
 impl Plane {
-    /// The plane through `offset * normal / |normal|`, across `normal` (of any length).
+    /// The plane through `offset * normal / |normal|`, perpendicular to `normal` (of any length).
     ///
     /// # Errors
     /// [`SymmetryError::Plane`] if the normal is zero or anything is not finite.
@@ -68,7 +68,7 @@ impl Plane {
         self.normal.dot(&Vector3::from(*x)) - self.offset
     }
 
-    /// The mirror image. Exact for planes across an axis through the origin.
+    /// The mirror image. Exact for coordinate planes.
     pub fn mirror(&self, x: &[f64; 3]) -> [f64; 3] {
         (Vector3::from(*x) - 2.0 * self.signed_distance(x) * self.normal).into()
     }
@@ -83,7 +83,7 @@ impl Plane {
 /// the plane. The pairing is its own inverse.
 ///
 /// # Errors
-/// [`SymmetryError::Unpaired`] if a vertex has no partner, or one that is a partner's already.
+/// [`SymmetryError::Unpaired`] if a vertex has no partner, or if its partner already has another.
 pub fn pair_vertices(
     vertices: &[[f64; 3]],
     plane: &Plane,

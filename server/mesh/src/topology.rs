@@ -1,11 +1,11 @@
-//! Edges, adjacency, and what they tell about the surface as a whole.
+//! Edges, adjacency, and the global topology of a surface.
 
 use crate::{Cell, Plane, SurfaceMesh, Vector3};
 
 /// Rows of indices, one after another: row `i` is `items[offsets[i]..offsets[i + 1]]`.
 #[derive(Clone, Debug, PartialEq, Eq, Default)]
 pub struct Csr {
-    /// Where each row begins, with the total at the end: one more than the number of rows.
+    /// Start of each row, with the total at the end: one more than the number of rows.
     pub offsets: Vec<u32>,
     /// The rows' entries.
     pub items: Vec<u32>,
@@ -45,7 +45,7 @@ impl Csr {
         &self.items[self.range(i)]
     }
 
-    /// Where row `i` lies within `items`.
+    /// The range of row `i` within `items`.
     pub fn range(&self, i: usize) -> std::ops::Range<usize> {
         self.offsets[i] as usize..self.offsets[i + 1] as usize
     }
@@ -71,7 +71,7 @@ pub struct Topology {
     pub boundary_edges: Vec<u32>,
     /// Edges with three cells or more.
     pub non_manifold_edges: Vec<u32>,
-    /// Edges that two of their cells run through in the same direction.
+    /// Edges that two of their cells traverse in the same direction.
     pub inconsistent_edges: Vec<u32>,
     /// The connected piece each vertex belongs to, numbered by first appearance.
     pub vertex_piece: Vec<u32>,
@@ -117,7 +117,7 @@ impl Topology {
             }
         }
 
-        // In the order of the sorted edges each row comes out increasing: first the smaller neighbours, then the larger.
+        // The order of the sorted edges makes each row increase: first the smaller neighbours, then the larger.
         let smaller = edges.iter().map(|&[a, b]| (b, a));
         let larger = edges.iter().map(|&[a, b]| (a, b));
         let vertex_neighbours = Csr::from_pairs(vertex_count, smaller.chain(larger));
@@ -161,8 +161,7 @@ impl Topology {
         self.boundary_edges.iter().copied().filter(open).collect()
     }
 
-    /// True if each edge has two cells that run through it in opposite directions; edges on the given symmetry plane
-    /// may have one.
+    /// True if each edge has two cells that traverse it in opposite directions; edges on the given symmetry plane may have one.
     pub fn is_watertight(&self, vertices: &[[f64; 3]], symmetry: Option<(&Plane, f64)>) -> bool {
         self.non_manifold_edges.is_empty()
             && self.inconsistent_edges.is_empty()
@@ -170,7 +169,7 @@ impl Topology {
     }
 }
 
-/// Breadth-first numbering of the vertices that edges connect.
+/// Connected pieces of vertices, by breadth-first search along edges.
 fn connected_pieces(neighbours: &Csr) -> (Vec<u32>, usize) {
     const UNSEEN: u32 = u32::MAX;
     let mut piece = vec![UNSEEN; neighbours.len()];

@@ -1,9 +1,9 @@
-//! A progress bar, where there is a terminal to see it.
+//! A progress bar on the terminal.
 
 use indicatif::{ProgressBar, ProgressStyle};
 use moldline_service::Progress;
 
-/// One bar that shows each stage in turn; nothing where standard error is no terminal.
+/// A progress bar that shows one stage after the other; hidden if standard error is not a terminal.
 pub struct Bar(ProgressBar);
 
 impl Bar {
@@ -23,7 +23,7 @@ impl Bar {
         self.tell(progress.message.clone(), progress.fraction);
     }
 
-    /// Shows how far work has come that is described by a message.
+    /// Shows a message and the completed fraction.
     pub fn tell(&self, message: String, fraction: f64) {
         self.0.set_message(message);
         self.0.set_position((fraction * 100.0) as u64);

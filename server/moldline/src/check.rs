@@ -1,19 +1,50 @@
-//! `moldline check`: are the derivatives right, and if not, where do they go wrong?
+//! `moldline check`: whether the derivatives of a set-up are right, and if not, at which step of the chain they go wrong.
 
-use std::sync::Arc;
+use std::{num::NonZeroUsize, path::PathBuf, sync::Arc};
 
+use clap::Args;
 use moldline_check::{Designs, Observer, Report, Request};
 use serde_json::{Map, Value, json};
 
 use crate::{
     bar::Bar,
-    config,
-    local::{self, Failure, say},
-    plot,
+    failure::Failure,
+    local::{self, Source},
+    output::{say, write_with_folder},
 };
 
+/// Options of `moldline check`.
+#[derive(Debug, Args)]
+pub struct CheckOptions {
+    /// The set-up.
+    #[command(flatten)]
+    pub source: Source,
+    /// Number of designs: the baseline, then random ones far from it
+    #[arg(long, value_name = "N", default_value_t = NonZeroUsize::MIN, conflicts_with = "design")]
+    pub designs: NonZeroUsize,
+    /// Seed of the random designs and vectors
+    #[arg(long, default_value_t = 1)]
+    pub seed: u64,
+    /// File with the design to check instead, as JSON: an object of names and values, or an array of all values in order
+    #[arg(long, alias = "design-file", value_name = "FILE")]
+    pub design: Option<PathBuf>,
+    /// Variables to compare with dual numbers and differences, by name or by the name of an array of them [default: all]
+    #[arg(long, value_delimiter = ',', value_name = "NAME,...")]
+    pub variables: Vec<String>,
+    /// Write all errors to this JSON file
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+    /// Plot the errors against the step of the differences into this folder, a PNG for each design
+    #[arg(long, value_name = "FOLDER")]
+    pub plots: Option<PathBuf>,
+}
+
 /// `moldline check`
-pub fn run(options: &config::Check) -> Result<(), Failure> {
+pub fn run(options: &CheckOptions) -> Result<(), Failure> {
+    #[cfg(not(feature = "plot"))]
+    if options.plots.is_some() {
+        return Err(Failure::NoPlots);
+    }
     let pool = local::pool(&options.source)?;
     let setup = Arc::new(pool.install(|| local::build(&options.source))?);
     let designs = match &options.design {
@@ -25,16 +56,12 @@ pub fn run(options: &config::Check) -> Result<(), Failure> {
 
     say(&format_args!("{}", report.to_string().trim_end()))?;
     if let Some(path) = &options.json {
-        local::write_with_folder(path, format!("{:#}\n", document(&report)).as_bytes())?;
+        write_with_folder(path, format!("{:#}\n", document(&report)).as_bytes())?;
         say(&format_args!("wrote {}", path.display()))?;
     }
+    #[cfg(feature = "plot")]
     if let Some(folder) = &options.plots {
-        for (number, check) in report.designs.iter().enumerate() {
-            let path = folder.join(format!("plateau-{}.png", number + 1));
-            let groups = setup.parameterisation().groups();
-            local::write_with_folder(&path, &plot::plateau(&report.title(number), groups, check)?)?;
-            say(&format_args!("wrote {}", path.display()))?;
-        }
+        crate::plot::write(&report, setup.parameterisation().groups(), folder)?;
     }
     let maxima = report.maxima();
     let off: Vec<&str> = maxima.iter().filter(|m| !m.passes()).map(|m| m.comparison).collect();
@@ -51,7 +78,7 @@ impl Observer for Bar {
     }
 }
 
-/// All errors, a row for each design and variable.
+/// The report as JSON, with a row for each design and variable.
 fn document(report: &Report) -> Value {
     let designs: Vec<Value> = report
         .designs

@@ -2,19 +2,69 @@
 
 use std::sync::Arc;
 
+use clap::Args;
 use metrics::{counter, gauge};
-use moldline_service::{CacheStatus, Principal, Service, Store};
+use moldline_service::{CacheStatus, Limits, Principal, Service, Store};
 use moldline_transport::{Gauges, Served};
 
 use crate::{
-    config::Serve,
+    api::MeshApi,
+    failure::Failure,
     grpc, http,
-    mesh::Meshes,
-    shell::{self, Parts, ServeError},
+    shell::{self, ComputeOptions, ListenOptions, Parts, ServeError},
 };
 
-/// Serves until asked to stop, then finishes what runs.
-pub fn run(options: &Serve) -> Result<(), crate::local::Failure> {
+/// Options of `moldline serve`.
+#[derive(Debug, Args)]
+pub struct ServeOptions {
+    /// The port.
+    #[command(flatten)]
+    pub listen: ListenOptions,
+    /// The compute pool.
+    #[command(flatten)]
+    pub compute: ComputeOptions,
+    /// Largest upload, MiB
+    #[arg(long, env = "MOLDLINE_MAX_UPLOAD", default_value_t = 256, value_name = "MIB")]
+    pub max_upload: u64,
+    /// Store of set-ups and sessions: a folder (created if missing), an object store such as s3://bucket/prefix (with
+    /// AWS_ENDPOINT, AWS_ACCESS_KEY_ID and so on in the environment), or `memory`, which ends with the server
+    #[arg(long, env = "MOLDLINE_STORE", default_value = "moldline-store", value_name = "PLACE")]
+    pub store: String,
+    /// Largest number of stored set-ups per tenant
+    #[arg(long, env = "MOLDLINE_MAX_SETUPS", default_value_t = 1000)]
+    pub max_setups: usize,
+    /// Largest number of open sessions per tenant
+    #[arg(long, env = "MOLDLINE_MAX_SESSIONS", default_value_t = 1000)]
+    pub max_sessions: usize,
+    /// Largest size of stored set-ups per tenant, MiB
+    #[arg(long, env = "MOLDLINE_MAX_STORED", default_value_t = 65536, value_name = "MIB")]
+    pub max_stored: u64,
+    /// Memory for set-ups, MiB; the least recently used are dropped, and loaded again when needed
+    #[arg(long, env = "MOLDLINE_SETUP_MEMORY", default_value_t = 4096, value_name = "MIB")]
+    pub setup_memory: usize,
+    /// Memory for linearisations, which derivative products need, MiB; the least recently used are dropped
+    #[arg(long, env = "MOLDLINE_LINEARISATION_MEMORY", default_value_t = 2048, value_name = "MIB")]
+    pub linearisation_memory: usize,
+}
+
+impl ServeOptions {
+    /// Limits of the service.
+    pub fn limits(&self) -> Limits {
+        Limits {
+            upload_bytes: self.max_upload.saturating_mul(1 << 20),
+            setups: self.max_setups,
+            sessions: self.max_sessions,
+            stored_bytes: self.max_stored.saturating_mul(1 << 20),
+            load: self.compute.tenant_load,
+            setup_bytes: self.setup_memory.saturating_mul(1 << 20),
+            linearisation_bytes: self.linearisation_memory.saturating_mul(1 << 20),
+            ..Limits::default()
+        }
+    }
+}
+
+/// Serves until the process is asked to stop, then lets running requests finish.
+pub(crate) fn run(options: &ServeOptions) -> Result<(), Failure> {
     let runtime = shell::runtime()?;
     let outcome = runtime.block_on(async {
         let store = Store::open(&options.store).await?;
@@ -25,7 +75,7 @@ pub fn run(options: &Serve) -> Result<(), crate::local::Failure> {
     Ok(outcome?)
 }
 
-async fn serve(options: &Serve, service: Arc<Service>) -> Result<(), ServeError> {
+async fn serve(options: &ServeOptions, service: Arc<Service>) -> Result<(), ServeError> {
     let pool = options.compute.pool();
     tracing::info!(
         threads = pool.threads,
@@ -35,35 +85,38 @@ async fn serve(options: &Serve, service: Arc<Service>) -> Result<(), ServeError>
         "computing"
     );
     if options.store == "memory" {
-        tracing::warn!("set-ups and sessions end with this server");
+        tracing::warn!("the store is in memory: set-ups and sessions end with this server");
     }
     shell::serve(&options.listen, parts(service, options.compute.max_message << 20).await?).await
 }
 
-/// The mesh service as the shell takes it.
+/// The mesh service on its routes. Messages may have `max_message` bytes.
+///
+/// # Errors
+/// If the descriptors of gRPC reflection cannot be loaded.
 pub async fn parts(service: Arc<Service>, max_message: usize) -> Result<Parts, ServeError> {
-    let meshes = Meshes::new(Arc::clone(&service));
-    let (grpc, open, health) = grpc::routes(meshes.clone(), max_message).await?;
-    let http = http::routes(meshes, max_message);
+    let api = MeshApi::new(Arc::clone(&service));
+    let (grpc, open, health) = grpc::routes(api.clone(), max_message).await?;
+    let http = http::routes(api, max_message);
     let gauges = gauges(Arc::clone(&service));
     let load = Arc::new(move || service.load());
     Ok(Parts { served: Served { http, grpc, open }, health, gauges, load })
 }
 
-/// Load and memory, for /metrics.
+/// Records load and memory for /metrics.
 fn gauges(service: Arc<Service>) -> Gauges {
     Arc::new(move || {
         let service = Arc::clone(&service);
         Box::pin(async move {
             match service.status(&Principal::local()).await {
-                Ok(status) => tell(&status),
-                Err(error) => tracing::warn!(%error, "cannot say what is under way"),
+                Ok(status) => record(&status),
+                Err(error) => tracing::warn!(%error, "cannot record load and memory"),
             }
         })
     })
 }
 
-fn tell(status: &moldline_service::Status) {
+fn record(status: &moldline_service::Status) {
     gauge!("moldline_uptime_seconds").set(status.uptime.as_secs_f64());
     gauge!("moldline_compute_running").set(status.running as f64);
     gauge!("moldline_compute_running_limit").set(status.running_limit as f64);
@@ -73,12 +126,12 @@ fn tell(status: &moldline_service::Status) {
     gauge!("moldline_setups_resident").set(status.setups_resident as f64);
     gauge!("moldline_setups_stored").set(status.setups_stored as f64);
     gauge!("moldline_stored_bytes").set(status.stored_bytes as f64);
-    tell_cache("setups", &status.setup_cache);
-    tell_cache("linearisations", &status.linearisation_cache);
+    record_cache("setups", &status.setup_cache);
+    record_cache("linearisations", &status.linearisation_cache);
 }
 
-/// How full a cache is, and how well it serves.
-pub fn tell_cache(name: &'static str, cache: &CacheStatus) {
+/// Records size and hit rate of a cache.
+pub(crate) fn record_cache(name: &'static str, cache: &CacheStatus) {
     gauge!("moldline_cache_entries", "cache" => name).set(cache.entries as f64);
     gauge!("moldline_cache_bytes", "cache" => name).set(cache.bytes as f64);
     gauge!("moldline_cache_budget_bytes", "cache" => name).set(cache.budget as f64);

@@ -1,10 +1,10 @@
-//! The end: who asks for it, and how long what runs may take.
+//! Shutdown: the signals that request it, and the wait for running requests.
 
 use std::{io, time::Duration};
 
 use tokio::{signal, time};
 
-/// SIGTERM and Ctrl-C, caught from the moment this exists.
+/// SIGTERM and Ctrl-C, caught as long as this value exists.
 #[cfg(unix)]
 pub struct Signals {
     interrupt: signal::unix::Signal,
@@ -13,13 +13,13 @@ pub struct Signals {
 
 #[cfg(unix)]
 impl Signals {
-    /// Catches them.
+    /// Starts to catch the signals.
     pub fn catch() -> io::Result<Self> {
         use signal::unix::{SignalKind, signal};
         Ok(Self { interrupt: signal(SignalKind::interrupt())?, terminate: signal(SignalKind::terminate())? })
     }
 
-    /// Waits for either.
+    /// Waits for a signal.
     pub async fn requested(&mut self) {
         tokio::select! {
             _ = self.interrupt.recv() => {}
@@ -28,25 +28,25 @@ impl Signals {
     }
 }
 
-/// Ctrl-C, caught from the moment this exists.
+/// Ctrl-C, caught as long as this value exists.
 #[cfg(windows)]
 pub struct Signals(signal::windows::CtrlC);
 
 #[cfg(windows)]
 impl Signals {
-    /// Catches it.
+    /// Starts to catch the signal.
     pub fn catch() -> io::Result<Self> {
         Ok(Self(signal::windows::ctrl_c()?))
     }
 
-    /// Waits for it.
+    /// Waits for the signal.
     pub async fn requested(&mut self) {
         self.0.recv().await;
     }
 }
 
-/// Waits until nothing computes and answers have had time to leave. What is then still open are idle streams, such as a
-/// health watch, which nobody needs to wait for.
+/// Waits until no request computes and answers have had time to leave. Streams that are still open then are idle, such as a
+/// health watch, and can be cut.
 pub async fn idle(load: &(dyn Fn() -> usize + Send + Sync)) {
     const POLL: Duration = Duration::from_millis(20);
     const LINGER: Duration = Duration::from_secs(1);

@@ -1,41 +1,64 @@
-//! `moldline status`: what a server does and holds, in the terminal.
+//! `moldline status`: load and contents of a server, in the terminal.
 
 use std::{
     io::{self, Write},
+    path::PathBuf,
     time::Duration,
 };
 
+use clap::Args;
+use indicatif::HumanBytes;
 use moldline_proto::v1::{self, mesh_service_client::MeshServiceClient};
 use tonic::{
     Request,
     transport::{Certificate, ClientTlsConfig, Endpoint},
 };
 
-use crate::{config::Status, table};
+use crate::{cli, table};
 
-/// Why there is nothing to show.
+/// Options of `moldline status`.
+#[derive(Debug, Args)]
+pub struct StatusOptions {
+    /// Address of the server, as in `127.0.0.1:50051` or `https://example.org:50051`
+    #[arg(long, env = "MOLDLINE_SERVER", default_value = "127.0.0.1:50051", value_name = "URL")]
+    pub server: String,
+    /// Token, if the server requires one
+    #[arg(long, env = "MOLDLINE_TOKEN", hide_env_values = true)]
+    pub token: Option<String>,
+    /// Certificate authority that signed the server's certificate, PEM
+    #[arg(long, env = "MOLDLINE_CA", value_name = "FILE")]
+    pub ca: Option<PathBuf>,
+    /// Refresh every SECONDS, or every second
+    #[arg(long, value_name = "SECONDS", num_args = 0..=1, default_missing_value = "1", value_parser = cli::seconds)]
+    pub watch: Option<f64>,
+    /// Print JSON, one line
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// A server whose status cannot be shown.
 #[derive(Debug, thiserror::Error)]
 pub enum StatusError {
-    /// The server is not there, or no server.
+    /// No server answers at the address.
     #[error("cannot reach {0}: {1}")]
     Unreachable(String, String),
-    /// It does not answer this.
+    /// The server refuses the request.
     #[error("the server refuses: {0}")]
     Refused(String),
-    /// A file or the terminal.
+    /// A file or the terminal fails.
     #[error("{0}")]
     Io(#[from] io::Error),
 }
 
-/// Asks and shows, once or again and again.
-pub fn run(options: &Status) -> Result<(), StatusError> {
+/// Shows the status, once or periodically.
+pub fn run(options: &StatusOptions) -> Result<(), StatusError> {
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(show(options))
 }
 
-async fn show(options: &Status) -> Result<(), StatusError> {
+async fn show(options: &StatusOptions) -> Result<(), StatusError> {
     let unreachable = |error: &dyn std::error::Error| {
-        // The innermost cause says what really happened.
+        // The innermost cause is the most specific.
         let mut cause = error;
         while let Some(inner) = cause.source() {
             cause = inner;
@@ -63,8 +86,9 @@ async fn show(options: &Status) -> Result<(), StatusError> {
         let mut request = Request::new(v1::GetStatusRequest {});
         if let Some(token) = &options.token {
             let bearer = format!("Bearer {token}").parse();
-            let bearer =
-                bearer.map_err(|_| StatusError::Refused("the token has odd characters".to_owned()))?;
+            let bearer = bearer.map_err(|_| {
+                StatusError::Refused("the token has characters that no header may have".to_owned())
+            })?;
             request.metadata_mut().insert("authorization", bearer);
         }
         let status = client.get_status(request).await;
@@ -75,7 +99,7 @@ async fn show(options: &Status) -> Result<(), StatusError> {
             writeln!(output, "{text}")?;
         } else {
             if options.watch.is_some() {
-                // From the top left, over what was there.
+                // Clears the screen and starts at its top left.
                 write!(output, "\x1b[H\x1b[2J")?;
             }
             write!(output, "{}", render(&options.server, &status))?;
@@ -103,15 +127,15 @@ fn render(server: &str, status: &v1::GetStatusResponse) -> String {
     };
     let cache = |name: &str, cache: &Option<v1::CacheStatus>| {
         let cache = cache.unwrap_or_default();
-        let asked = cache.hits + cache.misses;
-        let found = match asked {
+        let lookups = cache.hits + cache.misses;
+        let found = match lookups {
             0 => String::new(),
-            _ => format!(", {:.1} % found", 100.0 * share(cache.hits, asked)),
+            _ => format!(", {:.1} % found", 100.0 * share(cache.hits, lookups)),
         };
         [
             name.to_owned(),
             table::bar(share(cache.bytes, cache.budget_bytes), 20),
-            format!("{} of {}", table::bytes(cache.bytes), table::bytes(cache.budget_bytes)),
+            format!("{} of {}", HumanBytes(cache.bytes), HumanBytes(cache.budget_bytes)),
             format!("{} held{found}", cache.entries),
         ]
     };
@@ -126,7 +150,7 @@ fn render(server: &str, status: &v1::GetStatusResponse) -> String {
         status.sessions,
         status.setups_resident,
         status.setups_stored,
-        table::bytes(status.stored_bytes)
+        HumanBytes(status.stored_bytes)
     );
     if status.work.is_empty() {
         return text + "nothing runs\n";
@@ -189,7 +213,7 @@ mod tests {
         for words in [
             "moldline 1.2.3 at localhost:1, up 2 h 1 min, all tenants",
             "running         ██████████░░░░░░░░░░  1 of 2",
-            "1.0 GiB of 2.0 GiB  4 held, 75.0 % found",
+            "1.00 GiB of 2.00 GiB  4 held, 75.0 % found",
             "3 sessions",
             "build  1.2 s  factorisation 50 %  anna",
         ] {

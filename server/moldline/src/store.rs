@@ -1,25 +1,57 @@
-//! `moldline store`: what can be removed, and whether the rest is whole.
+//! `moldline store`: garbage collection and verification of a store.
 
+use std::time::Duration;
+
+use clap::{Args, Subcommand};
 use moldline_service::Store;
 use tokio::runtime;
 
-use crate::{
-    config,
-    local::{Failure, say},
-};
+use crate::{cli, failure::Failure, output::say};
+
+/// Commands on a store.
+#[derive(Debug, Subcommand)]
+pub enum StoreCommand {
+    /// Remove unreachable objects: set-ups that all owners have deleted, closed sessions, old generations, left-overs
+    Gc(Collect),
+    /// Read all objects and list the damaged ones
+    Verify(Place),
+}
+
+/// The location of a store.
+#[derive(Debug, Args)]
+pub struct Place {
+    /// The store, as given to `moldline serve`
+    #[arg(long, env = "MOLDLINE_STORE", default_value = "moldline-store", value_name = "PLACE")]
+    pub store: String,
+}
+
+/// Options of `moldline store gc`.
+#[derive(Debug, Args)]
+pub struct Collect {
+    /// The store.
+    #[command(flatten)]
+    pub place: Place,
+    /// List the objects that would be removed, and remove none
+    #[arg(long)]
+    pub dry_run: bool,
+    /// Keep objects younger than this, as in `90s`, `30m`, `24h`, `7d`; less than an hour is safe only while no server
+    /// uses the store
+    #[arg(long, default_value = "24h", value_parser = cli::duration)]
+    pub grace: Duration,
+}
 
 /// `moldline store`
-pub fn run(options: &config::Store) -> Result<(), Failure> {
+pub fn run(options: &StoreCommand) -> Result<(), Failure> {
     let runtime = runtime::Builder::new_current_thread().enable_all().build()?;
     runtime.block_on(async {
         match options {
-            config::Store::Gc(options) => collect(options).await,
-            config::Store::Verify(place) => verify(place).await,
+            StoreCommand::Gc(options) => collect(options).await,
+            StoreCommand::Verify(place) => verify(place).await,
         }
     })
 }
 
-async fn collect(options: &config::Collect) -> Result<(), Failure> {
+async fn collect(options: &Collect) -> Result<(), Failure> {
     let store = open(&options.place).await?;
     let collected = store.collect(options.grace, options.dry_run).await?;
     for object in &collected.objects {
@@ -29,7 +61,7 @@ async fn collect(options: &config::Collect) -> Result<(), Failure> {
     say(&format_args!("{verb} {} objects of {} bytes", collected.objects.len(), collected.bytes))
 }
 
-async fn verify(place: &config::Place) -> Result<(), Failure> {
+async fn verify(place: &Place) -> Result<(), Failure> {
     let verified = open(place).await?.verify().await?;
     for fault in &verified.faults {
         say(fault)?;
@@ -41,7 +73,7 @@ async fn verify(place: &config::Place) -> Result<(), Failure> {
     }
 }
 
-/// Makes none: a place mistyped is no store that is empty and sound.
-async fn open(place: &config::Place) -> Result<Store, Failure> {
+/// Opens a store that exists: a mistyped location must not pass for an empty, sound store.
+async fn open(place: &Place) -> Result<Store, Failure> {
     Store::open_existing(&place.store).await.map_err(Failure::NoStore)
 }

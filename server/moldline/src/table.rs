@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-/// Columns as wide as they need to be, two spaces between them.
+/// Aligns columns, with two spaces between them.
 pub fn render<const N: usize>(rows: &[[String; N]]) -> String {
     let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
     let widths: [usize; N] = std::array::from_fn(width);
@@ -15,7 +15,7 @@ pub fn render<const N: usize>(rows: &[[String; N]]) -> String {
     text
 }
 
-/// In the two units that say most.
+/// A duration in its two largest units.
 pub fn duration(duration: Duration) -> String {
     let seconds = duration.as_secs();
     match seconds {
@@ -27,23 +27,7 @@ pub fn duration(duration: Duration) -> String {
     }
 }
 
-/// In the largest unit of which there is one.
-pub fn bytes(bytes: u64) -> String {
-    const UNITS: [&str; 5] = ["B", "KiB", "MiB", "GiB", "TiB"];
-    let mut value = bytes as f64;
-    let mut unit = 0;
-    while value >= 1024.0 && unit + 1 < UNITS.len() {
-        value /= 1024.0;
-        unit += 1;
-    }
-    if unit == 0 || value >= 100.0 {
-        format!("{value:.0} {}", UNITS[unit])
-    } else {
-        format!("{value:.1} {}", UNITS[unit])
-    }
-}
-
-/// A bar of `width` cells, `share` of it full.
+/// A bar of `width` characters, filled by `share`.
 pub fn bar(share: f64, width: usize) -> String {
     let full = (share.clamp(0.0, 1.0) * width as f64).round() as usize;
     "█".repeat(full) + &"░".repeat(width - full)
@@ -59,10 +43,6 @@ mod tests {
         assert_eq!(
             [of(0.0666), of(12.34), of(75.0), of(7260.0), of(180_000.0)],
             ["66 ms", "12.3 s", "1 min 15 s", "2 h 1 min", "2 d 2 h"]
-        );
-        assert_eq!(
-            [bytes(0), bytes(1023), bytes(1536), bytes(200 << 20), bytes(5 << 40)],
-            ["0 B", "1023 B", "1.5 KiB", "200 MiB", "5.0 TiB"]
         );
         assert_eq!([bar(0.0, 4), bar(0.5, 4), bar(7.0, 4), bar(f64::NAN, 2)], ["░░░░", "██░░", "████", "░░"]);
     }

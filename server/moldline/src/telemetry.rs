@@ -1,8 +1,9 @@
-//! Logs: structured, on standard error, so that standard output belongs to results. Traces, by option, to a collector.
+//! Structured logs on standard error, which leaves standard output to results; optionally traces to a collector.
 
 use std::io::{self, IsTerminal};
 
 use axum::http::HeaderMap;
+use clap::{Args, ValueEnum};
 use opentelemetry::{
     propagation::{Extractor, TextMapPropagator},
     trace::TracerProvider,
@@ -13,9 +14,30 @@ use tracing::{Level, Span};
 use tracing_opentelemetry::OpenTelemetrySpanExt;
 use tracing_subscriber::{EnvFilter, Layer, filter::Targets, layer::SubscriberExt, util::SubscriberInitExt};
 
-use crate::config::{LogFormat, Telemetry};
+/// Options of logs and traces.
+#[derive(Debug, Args)]
+pub struct TelemetryOptions {
+    /// Filter of the log messages on standard error, as in `info` or `moldline=debug,tonic=warn`
+    #[arg(long, global = true, env = "MOLDLINE_LOG", default_value = "info")]
+    pub log: String,
+    /// Format of the log messages
+    #[arg(long, global = true, env = "MOLDLINE_LOG_FORMAT", default_value = "text")]
+    pub log_format: LogFormat,
+    /// Send traces to this OpenTelemetry collector (OTLP over gRPC), as in `http://127.0.0.1:4317`
+    #[arg(long, global = true, env = "MOLDLINE_OTLP", value_name = "URL")]
+    pub otlp: Option<String>,
+}
 
-/// Traces on their way to the collector; what is still here when this is dropped is sent then.
+/// Formats of log messages.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum LogFormat {
+    /// For people
+    Text,
+    /// One JSON object per line
+    Json,
+}
+
+/// Traces on their way to the collector. Dropping it sends the rest.
 pub struct Traces(Option<(SdkTracerProvider, tokio::runtime::Runtime)>);
 
 impl Drop for Traces {
@@ -28,8 +50,8 @@ impl Drop for Traces {
     }
 }
 
-/// Starts logging and tracing. A filter that cannot be read is said and `info` taken.
-pub fn start(options: &Telemetry) -> Traces {
+/// Starts logging and tracing. A filter that cannot be read is logged, and `info` used in its place.
+pub fn start(options: &TelemetryOptions) -> Traces {
     let (filter, refused) = match EnvFilter::try_new(&options.log) {
         Ok(filter) => (filter, None),
         Err(error) => (EnvFilter::new("info"), Some(error)),
@@ -40,7 +62,7 @@ pub fn start(options: &Telemetry) -> Traces {
         Err(error) => (None, Some(error)),
     };
     let spans = traces.as_ref().map(|(provider, _)| {
-        // Of what this program does, not of the libraries below it.
+        // Spans of this program, not of the libraries below it.
         let own = Targets::new().with_target("moldline", Level::INFO);
         tracing_opentelemetry::layer().with_tracer(provider.tracer("moldline")).with_filter(own)
     });
@@ -79,7 +101,7 @@ fn export(endpoint: &str) -> Result<(SdkTracerProvider, tokio::runtime::Runtime)
     Ok((provider, runtime))
 }
 
-/// Makes a request's span the child of the caller's, if it says so (`traceparent`).
+/// Makes a request's span the child of the caller's span, if the request names one (`traceparent`).
 pub fn follow(span: &Span, headers: &HeaderMap) {
     struct Headers<'a>(&'a HeaderMap);
     impl Extractor for Headers<'_> {
@@ -92,7 +114,7 @@ pub fn follow(span: &Span, headers: &HeaderMap) {
         }
     }
     if headers.contains_key("traceparent") {
-        // Without a collector there is nothing to be the child of.
+        // Fails only without a collector, where spans have no parents.
         let _ = span.set_parent(TraceContextPropagator::new().extract(&Headers(headers)));
     }
 }

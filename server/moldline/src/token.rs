@@ -1,22 +1,59 @@
-//! `moldline token`: who may use a server.
+//! `moldline token`: the credentials that a server accepts.
 
-use std::time::Duration;
+use std::{path::PathBuf, time::Duration};
 
-use moldline_service::Principal;
+use clap::{Args, Subcommand};
+use moldline_service::{Principal, Role, Tenant};
 use moldline_transport::tokens::{self, TokenFileError};
 
-use crate::{
-    config::{Token, TokenCommand},
-    table,
-};
+use crate::{cli, table};
 
-/// Makes, lists or revokes tokens.
-pub fn run(Token { tokens: path, command }: &Token) -> Result<(), TokenFileError> {
+/// Options of `moldline token`.
+#[derive(Debug, Args)]
+pub struct TokenOptions {
+    /// The token file
+    #[arg(long, global = true, env = "MOLDLINE_TOKENS", value_name = "FILE", default_value = "tokens.json")]
+    pub tokens: PathBuf,
+    /// The command.
+    #[command(subcommand)]
+    pub command: TokenCommand,
+}
+
+/// Commands on tokens.
+#[derive(Debug, Subcommand)]
+pub enum TokenCommand {
+    /// Create a token and print it, this once: the file keeps its hash only
+    Create {
+        /// Tenant whose set-ups and sessions it opens: up to 64 of a-z, 0-9, _ and -
+        #[arg(long, value_parser = |text: &str| Tenant::new(text).map_err(|error| error.to_string()))]
+        tenant: Tenant,
+        /// Permissions: `reader` may look, `user` may do everything with the tenant's own, `admin` also sees all tenants' load
+        #[arg(long, value_parser = role)]
+        role: Role,
+        /// Lifetime, as in `90d`, `12h`, `30m` or `45s`; unlimited if absent
+        #[arg(long, value_parser = cli::duration, value_name = "TIME")]
+        expires: Option<Duration>,
+    },
+    /// List the tokens, without their secrets
+    List,
+    /// Remove a token from the file: a running server refuses it from then on
+    Revoke {
+        /// Id of the token, from the list
+        id: String,
+    },
+}
+
+fn role(text: &str) -> Result<Role, String> {
+    moldline_transport::role(text).ok_or_else(|| "expected reader, user or admin".to_owned())
+}
+
+/// Creates, lists or revokes tokens.
+pub fn run(TokenOptions { tokens: path, command }: &TokenOptions) -> Result<(), TokenFileError> {
     match command {
         TokenCommand::Create { tenant, role, expires } => {
             let principal = Principal { tenant: tenant.clone(), role: *role };
             println!("{}", tokens::create(path, &principal, *expires)?);
-            eprintln!("This is the only time that it is seen. Send it as `authorization: Bearer TOKEN`.");
+            eprintln!("The token is shown only this once. Send it as `authorization: Bearer TOKEN`.");
         }
         TokenCommand::List => print!("{}", list(&tokens::list(path)?, tokens::now())),
         TokenCommand::Revoke { id } => tokens::revoke(path, id)?,

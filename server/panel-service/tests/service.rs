@@ -1,15 +1,15 @@
-//! The service without a transport: names, sharing, limits, cancellation.
+//! The panel service without a transport: ids, sharing, limits, cancellation.
 #![allow(clippy::unwrap_used, reason = "helpers of tests may panic")]
 
 use std::sync::Arc;
 
-use moldline_panel::{Flow, Inputs, Options, Outputs, PanelSetup, Reference, Scalars, TrailingEdges};
+use moldline_host::{Code, ComputePool, PoolLimits, Principal, Role, ServiceError, Tenant};
+use moldline_mesh::MeshError;
+use moldline_panel::{
+    Flow, Inputs, Options, Outputs, PanelError, PanelSetup, Reference, Scalars, TrailingEdges,
+};
 use moldline_panel_service::{AnalysisPoint, Definition, Geometry, Limits, PanelService};
-use moldline_service::{Code, ComputePool, PoolLimits, Principal, Role, Tenant};
-
-#[path = "../../panel/tests/suite/meshes.rs"]
-#[allow(dead_code, reason = "the panel crate's tests use it all")]
-mod meshes;
+use moldline_testing::{Wing, eventually, sphere};
 
 fn service(limits: Limits) -> Arc<PanelService> {
     let pool = ComputePool::new(PoolLimits { threads: 2, running: 2, queued: 8 }, usize::MAX).unwrap();
@@ -17,7 +17,7 @@ fn service(limits: Limits) -> Arc<PanelService> {
 }
 
 fn wing() -> Definition {
-    let mesh = meshes::Wing { half: true, ..meshes::Wing::rectangular(12, 8) }.mesh();
+    let mesh = Wing { half: true, ..Wing::rectangular(12, 8) }.mesh();
     Definition {
         cells: mesh.cells,
         vertices: mesh.vertices,
@@ -55,7 +55,7 @@ async fn analyses_and_products_are_those_of_the_panel_method() {
     stages.dedup();
     assert_eq!(stages, ["influence", "factorisation", "solution"]);
 
-    let mesh = meshes::Wing { half: true, ..meshes::Wing::rectangular(12, 8) }.mesh();
+    let mesh = Wing { half: true, ..Wing::rectangular(12, 8) }.mesh();
     let setup = PanelSetup::new(&mesh, wing().options).unwrap();
     let solution = Arc::new(setup.solve(&mesh.vertices, 0.3, &moldline_panel::NoMonitor).unwrap());
     assert_eq!(analysed.analyses[1], solution.analyse(&flow(0.05)).unwrap());
@@ -70,7 +70,7 @@ async fn analyses_and_products_are_those_of_the_panel_method() {
         .unwrap();
     let by_id = service.vjp(&caller, id, at(&analysed.solved.id, None), vec![seed.clone()]).await.unwrap();
     assert_eq!(by_id.value, expected);
-    // Solved again by a service that never made it.
+    // Solved again by a service without the solution.
     let other = self::service(Limits::default());
     other.create_configuration(&caller, wing()).await.unwrap();
     let again = other.vjp(&caller, id, at(&analysed.solved.id, Some(still(0.3))), vec![seed]).await.unwrap();
@@ -89,7 +89,7 @@ async fn analyses_and_products_are_those_of_the_panel_method() {
 }
 
 #[tokio::test]
-async fn names_follow_content_and_the_same_work_is_done_once() {
+async fn ids_follow_content_and_concurrent_requests_share_their_work() {
     let service = service(Limits::default());
     let caller = Principal::local();
     let first = service.create_configuration(&caller, wing()).await.unwrap();
@@ -120,12 +120,12 @@ async fn a_tenant_sees_its_own_and_a_reader_computes_nothing() {
     assert_eq!(service.configuration(&stranger, &id).unwrap_err().code, Code::NotFound);
     let reader = Principal { role: Role::Reader, ..caller };
     assert!(service.configuration(&reader, &id).is_ok());
-    let refused = service.analyse(&reader, &id, still(0.0), vec![flow(0.0)], |_| {}).await.unwrap_err();
-    assert_eq!(refused.code, Code::PermissionDenied);
+    let rejected = service.analyse(&reader, &id, still(0.0), vec![flow(0.0)], |_| {}).await.unwrap_err();
+    assert_eq!(rejected.code, Code::PermissionDenied);
 }
 
 #[tokio::test]
-async fn solutions_make_room_for_newer_ones() {
+async fn older_solutions_are_evicted() {
     let caller = Principal::local();
     let needed = {
         let probe = service(Limits::default());
@@ -146,10 +146,10 @@ async fn solutions_make_room_for_newer_ones() {
 }
 
 #[tokio::test]
-async fn who_goes_away_stops_the_work() {
+async fn dropping_a_request_stops_its_work() {
     let service = service(Limits::default());
     let caller = Principal::local();
-    let mesh = meshes::sphere(20);
+    let mesh = sphere(20);
     let definition = Definition {
         cells: mesh.cells,
         vertices: mesh.vertices,
@@ -173,15 +173,13 @@ async fn who_goes_away_stops_the_work() {
     });
     has_started.await.unwrap();
     work.abort();
-    while service.load() > 0 {
-        tokio::task::yield_now().await;
-    }
+    eventually("idle pool", async || (service.load() == 0).then_some(())).await;
     let status = service.status();
     assert_eq!((status.solutions.entries, status.solutions.bytes), (0, 0));
 }
 
 #[tokio::test]
-async fn faults_of_vertices_have_their_class() {
+async fn invalid_vertices_have_their_class() {
     let service = service(Limits::default());
     let caller = Principal::local();
     let id = service.create_configuration(&caller, wing()).await.unwrap().configuration.id.clone();
@@ -195,4 +193,26 @@ async fn faults_of_vertices_have_their_class() {
     assert_eq!((nan.code, nan.violations[0].field.as_str()), (Code::InvalidArgument, "vertices[5][1]"));
     let flat = ask(&|vertices| vertices[17] = vertices[16]).await;
     assert_eq!(flat.code, Code::FailedPrecondition, "{flat}");
+}
+
+#[test]
+fn errors_of_the_panel_method_have_code_and_field() {
+    let answer = |error: PanelError| {
+        let text = error.to_string();
+        let answer = ServiceError::from(error);
+        assert!(answer.message.ends_with(&text));
+        (answer.code, answer.violations.first().map(|violation| violation.field.clone()))
+    };
+    let at = |code, field: &str| (code, Some(field.to_owned()));
+    let cuts = PanelError::WakeCutsBody { edge: [0, 1], cell: 5, x: 1.0 };
+    assert_eq!(answer(cuts), at(Code::FailedPrecondition, "vertices"));
+    let edge = PanelError::NotAnEdge { index: 2, edge: [0, 1] };
+    assert_eq!(answer(edge), at(Code::InvalidArgument, "options.trailing_edges[2]"));
+    let open = PanelError::Open { count: 1, edge: [0, 1], cell: 3 };
+    assert_eq!(answer(open), at(Code::InvalidArgument, "cells[3]"));
+    let groups = MeshError::DuplicateGroup { kind: "cell", group: "wing".to_owned() };
+    assert_eq!(answer(PanelError::Mesh(groups)), at(Code::InvalidArgument, "cell_groups"));
+    let memory = PanelError::Memory { unknowns: 10, needed: 800, limit: 100, advice: "use fewer cells" };
+    assert_eq!(answer(memory), (Code::ResourceExhausted, None));
+    assert_eq!(answer(PanelError::Cancelled), (Code::Cancelled, None));
 }

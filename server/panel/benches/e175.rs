@@ -10,7 +10,7 @@ use moldline_panel::{
     Flow, Inputs, Monitor, Options, Outputs, PanelSetup, Reference, Scalars, Solver, Stage, TrailingEdges,
 };
 
-/// Prints how long each stage takes, and what of the assembly falls to a pair: a collocation point and a panel, doublet and source, both
+/// Prints the time of each stage, and of the assembly the time of a pair: a collocation point and a panel, doublet and source, both
 /// images.
 struct Clock {
     last: Mutex<Option<(Stage, Times)>>,

@@ -1,9 +1,10 @@
-//! Why a set-up is refused or a solution fails: what, where, and what to do.
+//! Errors of set-ups and solutions: what is wrong, where, and the way out.
 
+use moldline_foundation::{Class, Failure};
 use moldline_mesh::MeshError;
 use thiserror::Error;
 
-/// Why the panel method refuses its input, or stops.
+/// An error of the panel method.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum PanelError {
     /// The mesh itself is not valid.
@@ -192,10 +193,55 @@ pub enum PanelError {
         residual: f64,
         /// Rounds made.
         rounds: usize,
-        /// Tolerance asked for.
+        /// The tolerance.
         tolerance: f64,
     },
-    /// The caller asked to stop.
+    /// The monitor has cancelled the computation.
     #[error("cancelled")]
     Cancelled,
+}
+
+/// Paths in mesh and options, or in the arguments of an analysis.
+impl Failure for PanelError {
+    fn class(&self) -> Class {
+        match self {
+            // A valid mesh whose vertices have moved to where the method fails.
+            Self::ZeroArea { .. }
+            | Self::ZeroEdge { .. }
+            | Self::WakeCutsBody { .. }
+            | Self::Gradient { .. }
+            | Self::Singular { .. }
+            | Self::NotConverged { .. } => Class::Computation,
+            Self::Memory { .. } => Class::Memory,
+            Self::Cancelled => Class::Cancelled,
+            _ => Class::Input,
+        }
+    }
+
+    fn field(&self) -> Option<String> {
+        Some(match self {
+            Self::Mesh(error) => return error.field(),
+            Self::Memory { .. } | Self::Cancelled => return None,
+            Self::UnknownGroup { field, .. } => format!("options.{field}"),
+            Self::OutOfRange { field, .. } | Self::Length { field, .. } => field.clone(),
+            Self::Open { cell, .. } | Self::Inwards { cell, .. } => format!("cells[{cell}]"),
+            Self::NonManifold { cells, .. } | Self::Inconsistent { cells, .. } => match cells.first() {
+                Some(cell) => format!("cells[{cell}]"),
+                None => "cells".to_owned(),
+            },
+            Self::NotAnEdge { index, .. } => format!("options.trailing_edges[{index}]"),
+            Self::NoTrailingEdge { .. }
+            | Self::BranchedTrailingEdge { .. }
+            | Self::BluntTrailingEdge { .. }
+            | Self::NoCarryOver { .. } => "options.trailing_edges".to_owned(),
+            Self::Sideslip { .. } => "sideslip".to_owned(),
+            Self::NotSymmetric(_)
+            | Self::ZeroArea { .. }
+            | Self::ZeroEdge { .. }
+            | Self::WakeCutsBody { .. }
+            | Self::Gradient { .. }
+            | Self::Singular { .. }
+            | Self::NotConverged { .. } => "vertices".to_owned(),
+        })
+    }
 }

@@ -1,6 +1,6 @@
 //! Surface gradient of a potential given at panel centres.
 //!
-//! Weighted least squares over the neighbours at edges, weights 1/d^2, none across a trailing edge. A neighbour's centre is
+//! It is a weighted least-squares fit to the neighbours at edges, with weights 1/d^2, none across a trailing edge. A neighbour's centre is
 //! unfolded about the shared edge: with e along the edge, p the part of the way from the centre to the edge normal to e,
 //! and p' the same from the edge to the neighbour, `d = e (e . (c' - c)) + (|p| + |p'|) p / |p|`. With `u = d / |d|`, `M = sum u u^T + n n^T`:
 //!
@@ -8,15 +8,16 @@
 //! y = M^-1 sum u (mu' - mu) / |d|,   gradient = y - n (n . y)
 //! ```
 //!
-//! What the fit leaves, `(mu' - mu) / |d| - u . y`, is how much the gradient changes from the centre to the edge.
+//! The residual of the fit, `(mu' - mu) / |d| - u . y`, is the change of the gradient along u from the centre to the edge.
 
 use moldline_mesh::Vector3;
 use nalgebra::Matrix3;
 
 use crate::{
     PanelError,
+    panels::Panels,
     surface::{Surface, SurfaceChange},
-    topology::{Panels, mirrored},
+    symmetry::mirrored,
     wake::Wakes,
 };
 
@@ -30,7 +31,7 @@ pub(crate) struct Neighbour {
     pub panel: u32,
     pub mirrored: bool,
     pub edge: u32,
-    /// Strip whose circulation is added to the neighbour's potential, with its sign: the edge carries a wake's border.
+    /// The strip whose circulation is added to the neighbour's potential, with its sign: the edge carries a wake's border.
     pub jump: Option<(u32, f64)>,
 }
 
@@ -86,14 +87,14 @@ struct Arm {
     by_length: f64,
 }
 
-/// A gradient, what its fit leaves at every neighbour, or changes or seeds of both.
+/// A gradient and the residuals of its fit at the neighbours; or changes or seeds of both.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Slope {
     pub gradient: Vector3,
     pub residuals: [f64; 4],
 }
 
-/// The stencils' geometry of a surface.
+/// The stencils on a surface.
 pub(crate) struct Gradients<'a> {
     panels: &'a Panels,
     surface: &'a Surface,
@@ -166,7 +167,7 @@ impl<'a> Gradients<'a> {
     }
 
     /// The gradient on a panel, in stretched coordinates.
-    pub fn eval(&self, panel: usize, mu: &[f64], circulation: &[f64]) -> Slope {
+    pub fn eval(&self, panel: usize, [mu, circulation]: [&[f64]; 2]) -> Slope {
         let n = &self.surface.normals[panel];
         let y = self.solved(panel, mu, circulation);
         let mut residuals = [0.0; 4];
@@ -177,7 +178,7 @@ impl<'a> Gradients<'a> {
         Slope { gradient: y - n * n.dot(&y), residuals }
     }
 
-    /// Its parts by the potentials of the panels, without jumps: for the circulation at trailing edges.
+    /// The gradient as weights of the panels' potentials, without jumps: for the circulation at trailing edges.
     pub fn weights(&self, panel: usize) -> Vec<(u32, Vector3)> {
         let n = &self.surface.normals[panel];
         let mut own = Vector3::zeros();
@@ -193,7 +194,7 @@ impl<'a> Gradients<'a> {
         parts
     }
 
-    /// The change of the gradient that changes of the surface, the potentials and the circulations cause.
+    /// The change of [`eval`](Self::eval) with changes of the surface, the potentials and the circulations.
     pub fn jvp(
         &self,
         panel: usize,
@@ -204,7 +205,7 @@ impl<'a> Gradients<'a> {
         let (n, dn) = (&self.surface.normals[panel], &surface.normals[panel]);
         let y = self.solved(panel, mu, circulation);
         let mut dr = -(dn * n.dot(&y) + n * dn.dot(&y));
-        // Of the residuals at fixed y, and the directions that y counts along.
+        // The changes of the residuals at fixed y, and the directions u.
         let (mut residuals, mut ways) = ([0.0; 4], [Vector3::zeros(); 4]);
         for (i, neighbour) in self.stencils.neighbours[panel].iter().enumerate() {
             let way = self.unfold(panel, neighbour);
@@ -317,7 +318,7 @@ impl<'a> Gradients<'a> {
         let mut of_along = seed * along.dot(&step) + step * along.dot(seed);
         let of_step = along * along.dot(seed);
         let of_ratio = here.dot(seed) / h;
-        // (h + t) / h by t: 1 / h; by h: -t / h^2.
+        // The derivative of (h + t) / h is 1 / h with respect to t, -t / h^2 with respect to h.
         let of_here = seed * ((h + t) / h) - here * (of_ratio * t / (h * h));
         let of_there = there * (of_ratio / t);
         let mut of_ways = [Vector3::zeros(); 2];

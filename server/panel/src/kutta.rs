@@ -9,7 +9,7 @@ use crate::{
     wake::Wakes,
 };
 
-/// What the circulation of the strips depends on.
+/// The Kutta condition on a surface.
 pub(crate) struct Kutta<'a> {
     pub surface: &'a Surface,
     pub wakes: &'a Wakes,
@@ -17,7 +17,7 @@ pub(crate) struct Kutta<'a> {
 }
 
 impl Kutta<'_> {
-    /// Panels of a strip with their signs, and the way from their centres to the edge.
+    /// Both panels of a strip with their signs, and the way from their centres to the edge.
     fn sides(&self, strip: usize) -> [(usize, f64, Vector3); 2] {
         let strip = &self.wakes.strips[strip];
         let middle = 0.5 * (self.surface.points[strip.a as usize] + self.surface.points[strip.b as usize]);
@@ -38,38 +38,36 @@ impl Kutta<'_> {
         (0..self.wakes.strips.len()).map(row).collect()
     }
 
-    /// The change of a strip's circulation. Beside trailing edges no gradient reaches over the border of a wake, so no
-    /// circulation depends on another.
-    pub fn jvp(&self, strip: usize, mu: &[f64], surface: &SurfaceChange, d_mu: &[f64]) -> f64 {
-        let edge = &self.wakes.strips[strip];
-        let middle = 0.5 * (surface.points[edge.a as usize] + surface.points[edge.b as usize]);
-        let change = |(panel, sign, way): (usize, f64, Vector3)| {
-            let g = self.gradients.eval(panel, mu, &[]).gradient;
-            let dg = self.gradients.jvp(panel, [mu, &[]], surface, [d_mu, &[]]).gradient;
-            sign * (d_mu[panel] + dg.dot(&way) + g.dot(&(middle - surface.centres[panel])))
+    /// The changes of all circulations. Beside trailing edges no gradient reaches over the border of a wake, so no circulation depends on
+    /// another.
+    pub fn jvp(&self, mu: &[f64], surface: &SurfaceChange, d_mu: &[f64]) -> Vec<f64> {
+        let of_strip = |strip: usize| {
+            let edge = &self.wakes.strips[strip];
+            let middle = 0.5 * (surface.points[edge.a as usize] + surface.points[edge.b as usize]);
+            let change = |(panel, sign, way): (usize, f64, Vector3)| {
+                let g = self.gradients.eval(panel, [mu, &[]]).gradient;
+                let dg = self.gradients.jvp(panel, [mu, &[]], surface, [d_mu, &[]]).gradient;
+                sign * (d_mu[panel] + dg.dot(&way) + g.dot(&(middle - surface.centres[panel])))
+            };
+            self.sides(strip).into_iter().map(change).sum()
         };
-        self.sides(strip).into_iter().map(change).sum()
+        (0..self.wakes.strips.len()).map(of_strip).collect()
     }
 
-    /// The transpose of [`jvp`](Self::jvp).
-    pub fn vjp(
-        &self,
-        strip: usize,
-        mu: &[f64],
-        seed: f64,
-        surface: &mut SurfaceChange,
-        mu_seeds: &mut [f64],
-    ) {
-        let edge = &self.wakes.strips[strip];
-        for (panel, sign, way) in self.sides(strip) {
-            let seed = sign * seed;
-            mu_seeds[panel] += seed;
-            let g = self.gradients.eval(panel, mu, &[]).gradient;
-            let of_slope = Slope { gradient: seed * way, ..Slope::default() };
-            self.gradients.vjp(panel, [mu, &[]], &of_slope, surface, [mu_seeds, &mut []]);
-            surface.points[edge.a as usize] += 0.5 * seed * g;
-            surface.points[edge.b as usize] += 0.5 * seed * g;
-            surface.centres[panel] -= seed * g;
+    /// The transpose of [`jvp`](Self::jvp): adds to the seeds of surface and doublets.
+    pub fn vjp(&self, mu: &[f64], seeds: &[f64], surface: &mut SurfaceChange, mu_seeds: &mut [f64]) {
+        for (strip, seed) in seeds.iter().enumerate() {
+            let edge = &self.wakes.strips[strip];
+            for (panel, sign, way) in self.sides(strip) {
+                let seed = sign * seed;
+                mu_seeds[panel] += seed;
+                let g = self.gradients.eval(panel, [mu, &[]]).gradient;
+                let of_slope = Slope { gradient: seed * way, ..Slope::default() };
+                self.gradients.vjp(panel, [mu, &[]], &of_slope, surface, [mu_seeds, &mut []]);
+                surface.points[edge.a as usize] += 0.5 * seed * g;
+                surface.points[edge.b as usize] += 0.5 * seed * g;
+                surface.centres[panel] -= seed * g;
+            }
         }
     }
 }

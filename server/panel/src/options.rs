@@ -1,9 +1,9 @@
-//! What a user chooses once for a mesh.
+//! Options of a set-up, chosen once for a mesh.
 
 /// Choices of a set-up.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {
-    /// Whether one half is solved for both.
+    /// Whether one half is solved for both halves.
     pub symmetry: Symmetry,
     /// Where wakes leave the surface.
     pub trailing_edges: TrailingEdges,
@@ -13,7 +13,7 @@ pub struct Options {
     pub solver: Solver,
     /// Residual of the solution, relative to the right-hand side.
     pub tolerance: f64,
-    /// Bytes that a solution may take.
+    /// Limit on the memory of a solution, bytes.
     pub memory_limit: u64,
 }
 
@@ -30,7 +30,7 @@ impl Default for Options {
     }
 }
 
-/// The plane y = 0.
+/// Use of the plane of symmetry y = 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Symmetry {
     /// [`Half`](Self::Half) if the mesh is open on y = 0 only, [`Mirror`](Self::Mirror) if it is its own mirror image, else
@@ -71,28 +71,4 @@ pub enum Solver {
     Single,
     /// GMRES, preconditioned with the exact factors of blocks of near panels.
     Iterative,
-}
-
-/// Wind, and what coefficients refer to.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Flow {
-    /// Angle of attack, rad.
-    pub alpha: f64,
-    /// Sideslip, rad: positive if the wind comes from starboard (+y).
-    pub sideslip: f64,
-    /// What coefficients refer to.
-    pub reference: Reference,
-}
-
-/// What coefficients refer to. Of the whole aircraft, also for a half model.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Reference {
-    /// Area, m^2.
-    pub area: f64,
-    /// Chord of the pitching moment, m.
-    pub chord: f64,
-    /// Span of rolling and yawing moment, m.
-    pub span: f64,
-    /// Point about which moments are taken, m.
-    pub point: [f64; 3],
 }

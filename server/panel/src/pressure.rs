@@ -7,21 +7,21 @@
 //! Cp = sum_kl w_k w_l C_kl,   C_kl = o_k . o_l - u_k . u_l - (1/6) sum_i r_ik r_il
 //! ```
 //!
-//! It is the mean over a panel, on which the velocity changes linearly: by r_i from the centre to its edges, which is what the gradient's
-//! fit leaves ([`crate::gradient`]). Two opposite edges with +r and -r make a mean square of r^2 / 3.
+//! Cp is the mean over a panel, on which the velocity changes linearly: by r_i from the centre to edge i, the residual of the gradient's
+//! fit ([`crate::gradient`]). Two opposite edges with +r and -r make a mean square of r^2 / 3.
 //!
 //! At Mach zero it is Bernoulli's equation; else it is `-2 u - (B^2 u^2 + v^2 + w^2)` of the perturbations in the wind's axes.
 
 use moldline_mesh::Vector3;
 
 use crate::{
+    coefficients::Totals,
     gradient::Slope,
+    panels::Panels,
     surface::{Surface, SurfaceChange},
-    topology::Panels,
-    wind::Totals,
 };
 
-/// What the square of the velocity's change towards an edge adds to the mean square.
+/// Weight in the mean square of the squared change of the velocity towards an edge.
 const SPREAD: f64 = 1.0 / 6.0;
 
 /// The area vector in real coordinates, and its transpose.
@@ -66,7 +66,7 @@ impl<const B: usize> Pressure<B> {
         Self { velocities, forms }
     }
 
-    /// The changes of the forms that changes of gradients and surface cause.
+    /// The changes of the forms with changes of gradients and surface.
     pub fn jvp(
         &self,
         panels: &Panels,
@@ -97,7 +97,7 @@ impl<const B: usize> Pressure<B> {
             .collect()
     }
 
-    /// The transpose: seeds of the gradients, and those of the surface added.
+    /// The transpose of [`jvp`](Self::jvp): the seeds of the gradients; adds to those of the surface.
     pub fn vjp(
         &self,
         panels: &Panels,
@@ -148,7 +148,7 @@ impl<const B: usize> Pressure<B> {
         sum_loads(panels, surface, forms, change, Some(&self.forms), totals);
     }
 
-    /// The transpose: adds to the seeds of forms and surface.
+    /// The transpose of [`totals_jvp`](Self::totals_jvp): adds to the seeds of forms and surface.
     pub fn totals_vjp(
         &self,
         panels: &Panels,

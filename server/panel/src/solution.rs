@@ -1,4 +1,4 @@
-//! The flow over one geometry, and what it says at an angle of attack.
+//! The flow over one geometry, and its analysis at an angle of attack.
 
 use std::sync::Arc;
 
@@ -6,38 +6,18 @@ use moldline_mesh::Vector3;
 
 use crate::{
     Flow, Monitor, PanelError, PanelSetup, Scalars, Stage,
-    gradient::Gradients,
-    influence::Influence,
-    kutta::Kutta,
-    pressure::{Form, Pressure},
-    setup::check,
-    surface::Surface,
-    system::System,
-    wake_force,
-    wind::{self, Totals, Wind},
+    bounds::within,
+    coefficients,
+    distributions::{self, Distributions, form},
+    panel_setup::Component,
+    state::State,
+    wind::Wind,
 };
 
 /// Largest Mach number: the rule is one of small perturbations of a subsonic flow.
 pub const MAX_MACH: f64 = 0.9;
 
-/// Flow over the surface for unit winds along `B` axes.
-#[derive(Debug)]
-pub(crate) struct State<const B: usize> {
-    pub surface: Surface,
-    /// Circulations as sums over panels.
-    pub rows: Vec<Vec<(u32, f64)>>,
-    pub system: System,
-    /// Doublet strengths: perturbation potentials on the outside.
-    pub mu: [Vec<f64>; B],
-    pub circulations: [Vec<f64>; B],
-    pub pressure: Pressure<B>,
-    pub totals: Totals<B>,
-    /// Upward force on the wakes, by dynamic pressure, m^2.
-    pub wake_lift: [[f64; B]; B],
-    pub residual: f64,
-    pub rounds: usize,
-}
-
+/// The state of one half with a plane of symmetry, or of the whole.
 #[derive(Debug)]
 pub(crate) enum AnyState {
     Symmetric(Box<State<2>>),
@@ -53,7 +33,7 @@ pub struct Solution {
     pub(crate) state: AnyState,
 }
 
-/// The load of a strip of the wake: of the section of the wing before it.
+/// The load of a strip of the wake, which is that of the section of the wing ahead of it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Section {
     /// The trailing edge, as mesh vertices.
@@ -71,9 +51,10 @@ pub struct Section {
 pub struct Loads {
     /// Name of the component.
     pub name: String,
-    /// Force along the mesh's axes, by dynamic pressure and reference area.
+    /// Force along the mesh's axes, over dynamic pressure times reference area.
     pub force: [f64; 3],
-    /// Moment about the axes x, y, z through the reference point, by span, chord and span; y is nose up.
+    /// Moments about the axes x, y, z through the reference point, over dynamic pressure times reference area times span, chord and span; y is
+    /// nose up.
     pub moment: [f64; 3],
     /// Lift coefficient.
     pub lift: f64,
@@ -81,7 +62,7 @@ pub struct Loads {
     pub drag: f64,
 }
 
-/// What the flow does at one angle of attack.
+/// The flow at one angle of attack.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Analysis {
     /// Coefficients of the whole, with slopes.
@@ -110,21 +91,37 @@ pub struct Analysis {
     pub rounds: usize,
 }
 
+impl PanelSetup {
+    /// The flow for unit winds along the axes: any angle of attack follows from it at once. `vertices` are positions in m.
+    ///
+    /// # Errors
+    /// [`PanelError`] if the vertices are not finite, a cell has collapsed, a wake cuts a cell, the Mach number is out of range
+    /// or the solution does not converge.
+    pub fn solve(
+        &self,
+        vertices: &[[f64; 3]],
+        mach: f64,
+        monitor: &dyn Monitor<Stage>,
+    ) -> Result<Solution, PanelError> {
+        Solution::new(Arc::new(self.clone()), vertices, mach, monitor)
+    }
+}
+
 impl Solution {
-    pub(crate) fn new(
+    fn new(
         setup: Arc<PanelSetup>,
         vertices: &[[f64; 3]],
         mach: f64,
         monitor: &dyn Monitor<Stage>,
     ) -> Result<Self, PanelError> {
-        check("mach", mach, 0.0, MAX_MACH)?;
+        within("mach", mach, 0.0, MAX_MACH)?;
         let expected = setup.panels.vertices;
         if vertices.len() != expected {
             return Err(PanelError::Length { field: "vertices".to_owned(), got: vertices.len(), expected });
         }
         for (v, position) in vertices.iter().enumerate() {
             for (axis, &value) in position.iter().enumerate() {
-                check(&format!("vertices[{v}][{axis}]"), value, -1e12, 1e12)?;
+                within(&format!("vertices[{v}][{axis}]"), value, -1e12, 1e12)?;
             }
         }
         setup.panels.check_symmetry(vertices)?;
@@ -138,7 +135,7 @@ impl Solution {
         Ok(Self { setup, mach, vertices: vertices.to_vec(), state })
     }
 
-    /// The set-up it was made with.
+    /// The set-up of the mesh.
     pub fn setup(&self) -> &Arc<PanelSetup> {
         &self.setup
     }
@@ -148,12 +145,12 @@ impl Solution {
         self.mach
     }
 
-    /// The vertices.
+    /// The positions of the mesh's vertices, m.
     pub fn vertices(&self) -> &[[f64; 3]] {
         &self.vertices
     }
 
-    /// Bytes held, for budgets.
+    /// Memory of the solution, bytes.
     pub fn bytes(&self) -> u64 {
         self.setup.options.solver.bytes(self.setup.panels.len())
             + 8 * 100 * self.setup.panels.len() as u64
@@ -174,15 +171,7 @@ impl Solution {
     }
 
     pub(crate) fn check_flow(&self, flow: &Flow) -> Result<(), PanelError> {
-        check("flow.alpha", flow.alpha, -1.0, 1.0)?;
-        check("flow.sideslip", flow.sideslip, -1.0, 1.0)?;
-        let positive = f64::MIN_POSITIVE;
-        check("flow.reference.area", flow.reference.area, positive, 1e24)?;
-        check("flow.reference.chord", flow.reference.chord, positive, 1e12)?;
-        check("flow.reference.span", flow.reference.span, positive, 1e12)?;
-        for (axis, value) in flow.reference.point.into_iter().enumerate() {
-            check(&format!("flow.reference.point[{axis}]"), value, -1e12, 1e12)?;
-        }
+        flow.check()?;
         if self.setup.panels.symmetric && flow.sideslip != 0.0 {
             return Err(PanelError::Sideslip { sideslip: flow.sideslip });
         }
@@ -193,14 +182,13 @@ impl Solution {
         let setup = &*self.setup;
         let panels = &setup.panels;
         let wind = Wind::<B>::new(flow);
-        let scalars = wind::eval(&state.totals, flow);
-        let panel_cp: Vec<f64> =
-            state.pressure.forms.iter().map(|of_panel| form(of_panel, &wind.w)).collect();
+        let scalars = coefficients::eval(&state.totals, flow);
+        let Distributions { loads: section_loads, cp: panel_cp } =
+            distributions::eval(&state.circulations, &state.pressure.forms, &wind);
         let everything: Vec<u32> = (0..panels.len() as u32).collect();
         let images: &[u32] = if panels.symmetric { &everything } else { &[] };
         let total = loads("total", state, &panel_cp, &everything, images, flow, &wind);
-        let component =
-            |c: &crate::setup::Component| loads(&c.name, state, &panel_cp, &c.own, &c.mirrored, flow, &wind);
+        let component = |c: &Component| loads(&c.name, state, &panel_cp, &c.own, &c.mirrored, flow, &wind);
         let sections = setup
             .wakes
             .strips
@@ -213,7 +201,7 @@ impl Solution {
                     edge: [strip.a, strip.b].map(|p| panels.vertex_of[p as usize]),
                     middle: [state.surface.beta * middle.x, middle.y, middle.z],
                     span: [way.y, way.z],
-                    load: 2.0 * (0..B).map(|k| wind.w[k] * state.circulations[k][index]).sum::<f64>(),
+                    load: section_loads[index],
                 }
             })
             .collect();
@@ -245,11 +233,6 @@ impl Solution {
             rounds: state.rounds,
         }
     }
-}
-
-/// `sum_kl w_k w_l F_kl`.
-fn form<const B: usize>(f: &Form<B>, w: &[f64; B]) -> f64 {
-    (0..B).map(|k| (0..B).map(|l| w[k] * w[l] * f[k][l]).sum::<f64>()).sum()
 }
 
 /// Pressure coefficient at which the local flow is sonic (isentropic, ratio of heats 1.4); none at Mach zero.
@@ -293,41 +276,5 @@ fn loads<const B: usize>(
         moment: [moment.x / reference.span, moment.y / reference.chord, moment.z / reference.span],
         lift: force.dot(&wind.lift),
         drag: force.dot(&wind.drag),
-    }
-}
-
-impl<const B: usize> State<B> {
-    fn new(
-        setup: &PanelSetup,
-        points: &[Vector3],
-        mach: f64,
-        monitor: &dyn Monitor<Stage>,
-    ) -> Result<Self, PanelError> {
-        let panels = &setup.panels;
-        let surface = Surface::new(panels, points, mach)?;
-        let gradients = Gradients::new(panels, &surface, &setup.stencils)?;
-        let rows = Kutta { surface: &surface, wakes: &setup.wakes, gradients: &gradients }.rows();
-        let influence = Influence::<B>::new(panels, &setup.wakes, &surface);
-        let (matrix, right) = influence.assemble(&rows, monitor)?;
-        let system = System::new(matrix, setup.options.solver, &surface.centres, monitor)?;
-        let solved = system.solve(&right, false, setup.options.tolerance, monitor)?;
-        let mu: [Vec<f64>; B] = {
-            let mut columns = solved.columns.into_iter();
-            std::array::from_fn(|_| columns.next().unwrap_or_default())
-        };
-        let circulations: [Vec<f64>; B] = std::array::from_fn(|k| {
-            rows.iter().map(|row| row.iter().map(|(p, f)| f * mu[k][*p as usize]).sum()).collect()
-        });
-        let slopes = std::array::from_fn(|k| {
-            (0..panels.len()).map(|panel| gradients.eval(panel, &mu[k], &circulations[k])).collect()
-        });
-        let pressure = Pressure::new(panels, &surface, slopes);
-        let mut totals = Totals::zeros();
-        pressure.totals(panels, &surface, &mut totals);
-        totals.lift = std::array::from_fn(|k| setup.trace.lift(&surface.points, &circulations[k]));
-        totals.drag = setup.trace.drag(&surface.points, &circulations);
-        let wake_lift = wake_force::lift(panels, &surface, &setup.wakes, &mu, &circulations);
-        let (residual, rounds) = (solved.residual, solved.rounds);
-        Ok(Self { surface, rows, system, mu, circulations, pressure, totals, wake_lift, residual, rounds })
     }
 }

@@ -6,11 +6,12 @@
 
 use moldline_mesh::Vector3;
 
-use crate::{PanelError, topology::Panels};
+use crate::{PanelError, panels::Panels};
 
 /// Geometry of the solved panels, in stretched coordinates.
 #[derive(Clone, Debug)]
 pub(crate) struct Surface {
+    pub mach: f64,
     /// `B = sqrt(1 - M^2)`.
     pub beta: f64,
     /// Vertices.
@@ -55,24 +56,11 @@ impl Surface {
             let edge = [panels.vertex_of[e.a as usize], panels.vertex_of[e.b as usize]];
             return Err(PanelError::ZeroEdge { edge, cell: panels.cell_of[e.left as usize] });
         }
-        Ok(Self { beta, points, centres, areas, normals, edges, lengths })
-    }
-
-    /// The onset flow of unit velocity along axis `k`, in stretched coordinates.
-    pub fn onset(&self, axis: usize) -> Vector3 {
-        let mut v = Vector3::zeros();
-        v[axis] = if axis == 0 { 1.0 / self.beta } else { 1.0 };
-        v
-    }
-
-    /// `sigma n` of every panel for the onset flow along `axis`: `sigma = -V' . n`.
-    pub fn sources(&self, axis: usize) -> Vec<Vector3> {
-        let onset = self.onset(axis);
-        self.normals.iter().map(|n| -onset.dot(n) * n).collect()
+        Ok(Self { mach, beta, points, centres, areas, normals, edges, lengths })
     }
 }
 
-/// A change of the surface in one direction.
+/// A change of the surface in one direction, or seeds of it.
 #[derive(Clone, Debug)]
 pub(crate) struct SurfaceChange {
     pub beta: f64,
@@ -83,7 +71,7 @@ pub(crate) struct SurfaceChange {
 }
 
 impl SurfaceChange {
-    /// Seeds that are zero.
+    /// No change.
     pub fn zeros(surface: &Surface) -> Self {
         let panels = vec![Vector3::zeros(); surface.centres.len()];
         Self {
@@ -97,10 +85,10 @@ impl SurfaceChange {
 }
 
 impl Surface {
-    /// The change that points (before stretching) and Mach number cause; `mach` is the one of the surface.
-    pub fn jvp(&self, panels: &Panels, points: &[Vector3], mach: f64, mach_change: f64) -> SurfaceChange {
+    /// The change that changes of the points (before stretching) and of the Mach number cause.
+    pub fn jvp(&self, panels: &Panels, points: &[Vector3], mach: f64) -> SurfaceChange {
         let mut change = SurfaceChange::zeros(self);
-        change.beta = -mach * mach_change / self.beta;
+        change.beta = -self.mach * mach / self.beta;
         let by_beta = change.beta / self.beta;
         for (out, (p, x)) in change.points.iter_mut().zip(points.iter().zip(&self.points)) {
             *out = Vector3::new(p.x / self.beta - x.x * by_beta, p.y, p.z);
@@ -119,7 +107,7 @@ impl Surface {
     }
 
     /// The transpose of [`jvp`](Self::jvp): seeds of the points and of the Mach number.
-    pub fn vjp(&self, panels: &Panels, mut seeds: SurfaceChange, mach: f64) -> (Vec<Vector3>, f64) {
+    pub fn vjp(&self, panels: &Panels, mut seeds: SurfaceChange) -> (Vec<Vector3>, f64) {
         for (panel, corners) in panels.corners.iter().enumerate() {
             let n = &self.normals[panel];
             let normal = seeds.normals[panel];
@@ -143,11 +131,29 @@ impl Surface {
                 Vector3::new(seed.x / self.beta, seed.y, seed.z)
             })
             .collect();
-        (points, -mach * beta / self.beta)
+        (points, -self.mach * beta / self.beta)
     }
 }
 
 impl Surface {
+    /// The onset flow of unit velocity along an axis, in stretched coordinates.
+    pub fn onset(&self, axis: usize) -> Vector3 {
+        let mut v = Vector3::zeros();
+        v[axis] = if axis == 0 { 1.0 / self.beta } else { 1.0 };
+        v
+    }
+
+    /// The derivative of [`onset`](Self::onset) with respect to B.
+    pub fn onset_by_beta(&self, axis: usize) -> Vector3 {
+        if axis == 0 { Vector3::x() * (-1.0 / (self.beta * self.beta)) } else { Vector3::zeros() }
+    }
+
+    /// `sigma n` of every panel for the onset flow along `axis`: `sigma = -V' . n`.
+    pub fn sources(&self, axis: usize) -> Vec<Vector3> {
+        let onset = self.onset(axis);
+        self.normals.iter().map(|n| -onset.dot(n) * n).collect()
+    }
+
     /// The change of [`sources`](Self::sources).
     pub fn sources_jvp(&self, axis: usize, change: &SurfaceChange) -> Vec<Vector3> {
         let onset = self.onset(axis);
@@ -159,7 +165,7 @@ impl Surface {
             .collect()
     }
 
-    /// The transpose: adds to the seeds of normals and B.
+    /// The transpose of [`sources_jvp`](Self::sources_jvp): adds to the seeds of normals and B.
     pub fn sources_vjp(&self, axis: usize, seeds: &[Vector3], change: &mut SurfaceChange) {
         let onset = self.onset(axis);
         let by_beta = self.onset_by_beta(axis);
@@ -168,10 +174,5 @@ impl Surface {
             *of_normal -= onset * along + seed * onset.dot(n);
             change.beta -= by_beta.dot(n) * along;
         }
-    }
-
-    /// The derivative of an onset flow by B.
-    pub fn onset_by_beta(&self, axis: usize) -> Vector3 {
-        if axis == 0 { Vector3::x() * (-1.0 / (self.beta * self.beta)) } else { Vector3::zeros() }
     }
 }

@@ -15,7 +15,7 @@ use moldline_foundation::quadrature::GAUSS_4;
 use moldline_mesh::Vector3;
 
 use crate::{
-    topology::Panels,
+    panels::Panels,
     wake::{Beside, Wakes},
 };
 
@@ -57,7 +57,14 @@ fn cross(a: Plane, b: Plane) -> f64 {
     a[0] * b[1] - a[1] * b[0]
 }
 
-/// Value of `integral ln |x - s| ds` from p to q and its gradient by x, p and q.
+/// `integral ln |x - s| ds` from p to q, and its gradient with respect to x, p and q.
+///
+/// With u1, u2 the components of `p - x`, `q - x` along the unit vector e from p to q, and h the one across,
+///
+/// ```text
+/// integral = F(u2) - F(u1),   F(u) = u ln sqrt(u^2 + h^2) - u + h atan(u / h)
+/// dF = ln sqrt(u^2 + h^2) du + atan(u / h) dh
+/// ```
 fn inner(x: Plane, p: Plane, q: Plane) -> (f64, [Plane; 3]) {
     let d = sub(q, p);
     let length = dot(d, d).sqrt();
@@ -71,7 +78,7 @@ fn inner(x: Plane, p: Plane, q: Plane) -> (f64, [Plane; 3]) {
         (u * log - u + h * angle, log, angle)
     };
     let ((f1, log1, angle1), (f2, log2, angle2)) = (parts(u1), parts(u2));
-    // By u1: -log1, by u2: log2, by h: angle2 - angle1; then e turns with p and q.
+    // The derivatives are -log1 with respect to u1, log2 to u2, angle2 - angle1 to h; then e turns with p and q.
     let by_h = angle2 - angle1;
     let by_e = [
         -log1 * to_p[0] + log2 * to_q[0] - by_h * to_p[1],
@@ -79,7 +86,7 @@ fn inner(x: Plane, p: Plane, q: Plane) -> (f64, [Plane; 3]) {
     ];
     let along = dot(by_e, e);
     let turn = [(by_e[0] - e[0] * along) / length, (by_e[1] - e[1] * along) / length];
-    // h = p_y e_z - p_z e_y: its gradient by p is (e_z, -e_y).
+    // h = p_y e_z - p_z e_y: its gradient with respect to p is (e_z, -e_y).
     let of_p = [-log1 * e[0] + by_h * e[1], -log1 * e[1] - by_h * e[0]];
     let of_q = [log2 * e[0], log2 * e[1]];
     let x = [-of_p[0] - of_q[0], -of_p[1] - of_q[1]];
@@ -162,11 +169,12 @@ impl Trace {
         }
     }
 
-    /// Both halves.
+    /// Number of halves for each that is solved.
     fn factor(&self) -> f64 {
         if self.symmetric { 2.0 } else { 1.0 }
     }
 
+    /// The point of an end, in y and z.
     fn end(&self, end: &End, points: &[Vector3]) -> Plane {
         let at = |(point, weight): (u32, f64)| {
             let p = &points[point as usize];
@@ -181,6 +189,7 @@ impl Trace {
         (b.y - a.y).hypot(b.z - a.z)
     }
 
+    /// The length over which the circulation rises.
     fn denominator(&self, element: &Element, ends: [Plane; 2], points: &[Vector3]) -> f64 {
         if element.over.is_empty() {
             let d = sub(ends[1], ends[0]);
@@ -205,6 +214,7 @@ impl Trace {
         std::array::from_fn(|k| std::array::from_fn(|l| 0.5 * (out[k][l] + out[l][k])))
     }
 
+    /// The vorticity of every element, for every onset flow.
     fn vorticity<const B: usize>(&self, points: &[Vector3], circulations: &[Vec<f64>; B]) -> Vec<[f64; B]> {
         self.elements
             .iter()
@@ -219,7 +229,7 @@ impl Trace {
             .collect()
     }
 
-    /// Calls back with every pair's integral, times `-1/(4 pi)` and the number of images, and its gradient by the ends of both.
+    /// Calls back with every pair's integral, times `-1/(4 pi)` and the number of images, and its gradient with respect to the ends of both.
     fn pairs(&self, points: &[Vector3], mut each: impl FnMut(usize, usize, f64, [Plane; 4])) {
         let factor = -self.factor() / (4.0 * std::f64::consts::PI);
         let ends: Vec<[Plane; 2]> =
@@ -266,35 +276,30 @@ impl Trace {
         }
     }
 
-    /// The changes of the drag's form in several directions.
+    /// The change of [`drag`](Self::drag): every entry by its gradient, of which there are few.
     pub fn drag_jvp<const B: usize>(
         &self,
         points: &[Vector3],
         circulations: &[Vec<f64>; B],
-        changes: &[(&[Vector3], &[Vec<f64>; B])],
-    ) -> Vec<[[f64; B]; B]> {
-        // Every entry by its transpose: there are few entries, and many directions.
-        let mut out = vec![[[0.0; B]; B]; changes.len()];
-        for k in 0..B {
-            for l in 0..B {
-                let mut seed = [[0.0; B]; B];
-                seed[k][l] = 1.0;
-                let mut point_seeds = vec![Vector3::zeros(); points.len()];
-                let mut strip_seeds: [Vec<f64>; B] =
-                    std::array::from_fn(|k| vec![0.0; circulations[k].len()]);
-                self.drag_vjp(points, circulations, &seed, &mut point_seeds, &mut strip_seeds);
-                for (out, (d_points, d_circulations)) in out.iter_mut().zip(changes) {
-                    out[k][l] = point_seeds.iter().zip(*d_points).map(|(s, d)| s.dot(d)).sum::<f64>();
-                    for (seeds, change) in strip_seeds.iter().zip(*d_circulations) {
-                        out[k][l] += seeds.iter().zip(change).map(|(s, d)| s * d).sum::<f64>();
-                    }
-                }
+        d_points: &[Vector3],
+        d_circulations: &[Vec<f64>; B],
+    ) -> [[f64; B]; B] {
+        let entry = |k: usize, l: usize| {
+            let mut seed = [[0.0; B]; B];
+            seed[k][l] = 1.0;
+            let mut point_seeds = vec![Vector3::zeros(); points.len()];
+            let mut strip_seeds: [Vec<f64>; B] = std::array::from_fn(|k| vec![0.0; circulations[k].len()]);
+            self.drag_vjp(points, circulations, &seed, &mut point_seeds, &mut strip_seeds);
+            let mut sum = point_seeds.iter().zip(d_points).map(|(s, d)| s.dot(d)).sum::<f64>();
+            for (seeds, change) in strip_seeds.iter().zip(d_circulations) {
+                sum += seeds.iter().zip(change).map(|(s, d)| s * d).sum::<f64>();
             }
-        }
-        out
+            sum
+        };
+        std::array::from_fn(|k| std::array::from_fn(|l| entry(k, l)))
     }
 
-    /// The transpose: adds to the seeds of points and circulations.
+    /// The transpose of [`drag_jvp`](Self::drag_jvp): adds to the seeds of points and circulations.
     pub fn drag_vjp<const B: usize>(
         &self,
         points: &[Vector3],
@@ -325,36 +330,51 @@ impl Trace {
             }
         });
         for (index, element) in self.elements.iter().enumerate() {
-            let ends = element.ends.each_ref().map(|end| self.end(end, points));
-            let by = 1.0 / self.denominator(element, ends, points);
-            let mut of_denominator = 0.0;
-            for k in 0..B {
-                let s = gamma_seeds[index][k];
-                of_denominator -= s * gamma[index][k] * by;
-                for (strip, factor) in &element.rise {
-                    circulation_seeds[k][*strip as usize] += s * by * factor;
-                }
+            let seeds = (&gamma_seeds[index], end_seeds[index]);
+            self.vorticity_vjp(element, points, &gamma[index], seeds, point_seeds, circulation_seeds);
+        }
+    }
+
+    /// From seeds of an element's vorticity gamma and of its ends to those of points and circulations: the transpose of
+    /// [`vorticity`](Self::vorticity) and [`end`](Self::end).
+    fn vorticity_vjp<const B: usize>(
+        &self,
+        element: &Element,
+        points: &[Vector3],
+        gamma: &[f64; B],
+        (gamma_seeds, mut end_seeds): (&[f64; B], [Plane; 2]),
+        point_seeds: &mut [Vector3],
+        circulation_seeds: &mut [Vec<f64>; B],
+    ) {
+        let ends = element.ends.each_ref().map(|end| self.end(end, points));
+        let by = 1.0 / self.denominator(element, ends, points);
+        let mut of_denominator = 0.0;
+        for k in 0..B {
+            let s = gamma_seeds[k];
+            of_denominator -= s * gamma[k] * by;
+            for (strip, factor) in &element.rise {
+                circulation_seeds[k][*strip as usize] += s * by * factor;
             }
-            if element.over.is_empty() {
-                let d = sub(ends[1], ends[0]);
-                let length = dot(d, d).sqrt();
-                for axis in 0..2 {
-                    let part = of_denominator * d[axis] / length;
-                    end_seeds[index][0][axis] -= part;
-                    end_seeds[index][1][axis] += part;
-                }
+        }
+        if element.over.is_empty() {
+            let d = sub(ends[1], ends[0]);
+            let length = dot(d, d).sqrt();
+            for axis in 0..2 {
+                let part = of_denominator * d[axis] / length;
+                end_seeds[0][axis] -= part;
+                end_seeds[1][axis] += part;
             }
-            for strip in &element.over {
-                let [a, b] = self.strips[*strip as usize];
-                let d = points[b as usize] - points[a as usize];
-                let part = 0.5 * of_denominator / d.y.hypot(d.z) * Vector3::new(0.0, d.y, d.z);
-                point_seeds[a as usize] -= part;
-                point_seeds[b as usize] += part;
-            }
-            for (end, seed) in element.ends.iter().zip(&end_seeds[index]) {
-                for (point, weight) in end {
-                    point_seeds[*point as usize] += Vector3::new(0.0, weight * seed[0], weight * seed[1]);
-                }
+        }
+        for strip in &element.over {
+            let [a, b] = self.strips[*strip as usize];
+            let d = points[b as usize] - points[a as usize];
+            let part = 0.5 * of_denominator / d.y.hypot(d.z) * Vector3::new(0.0, d.y, d.z);
+            point_seeds[a as usize] -= part;
+            point_seeds[b as usize] += part;
+        }
+        for (end, seed) in element.ends.iter().zip(&end_seeds) {
+            for (point, weight) in end {
+                point_seeds[*point as usize] += Vector3::new(0.0, weight * seed[0], weight * seed[1]);
             }
         }
     }
@@ -368,7 +388,46 @@ fn roots_at(wakes: &Wakes, end: u32) -> Vec<u32> {
 
 #[cfg(test)]
 mod tests {
-    use crate::{Options, PanelSetup, meshes::Wing};
+    use moldline_testing::Wing;
+    use num_dual::{Dual64, DualNum};
+
+    use super::*;
+    use crate::{Options, PanelSetup};
+
+    /// Against the closed form in dual numbers: beside the segment, far away, near it, and near its line.
+    #[test]
+    fn logarithmic_potential_of_a_segment() {
+        type D = [Dual64; 2];
+        let textbook = |[x, p, q]: &[D; 3]| {
+            let difference = |a: &D, b: &D| [a[0] - b[0], a[1] - b[1]];
+            let dot = |a: &D, b: &D| a[0] * b[0] + a[1] * b[1];
+            let d = difference(q, p);
+            let length = dot(&d, &d).sqrt();
+            let e = d.map(|x| x / length);
+            let at = |end: &D| {
+                let way = difference(end, x);
+                let (u, h) = (dot(&way, &e), way[0] * e[1] - way[1] * e[0]);
+                u * (u * u + h * h).ln() * 0.5 - u + h * (u / h).atan()
+            };
+            at(q) - at(p)
+        };
+        let (p, q) = ([0.3, -0.2], [1.1, 0.4]);
+        for x in [[0.9, -0.4], [-30.0, 20.0], [0.7, 0.1 + 1e-4], [-0.5, -0.8 + 1e-6], [2.0, 2.0]] {
+            let positions = [x, p, q];
+            let (value, gradient) = inner(x, p, q);
+            for (i, axis) in (0..3).flat_map(|i| [(i, 0), (i, 1)]) {
+                let seeded: [D; 3] = std::array::from_fn(|j| {
+                    std::array::from_fn(|k| {
+                        Dual64::new(positions[j][k], if (j, k) == (i, axis) { 1.0 } else { 0.0 })
+                    })
+                });
+                let expected = textbook(&seeded);
+                assert!((value - expected.re).abs() < 1e-12 * value.abs().max(1.0), "{x:?}: {value}");
+                let found = gradient[i][axis];
+                assert!((found - expected.eps).abs() < 1e-11 * found.abs().max(1.0), "{x:?}: {found}");
+            }
+        }
+    }
 
     /// An elliptic circulation over a plane trace has the least drag, `(integral Gamma dy)^2 2 / (pi b^2)`; the error falls with the square of
     /// the spacing.

@@ -19,10 +19,15 @@
 
 use std::{collections::BTreeMap, f64::consts::PI};
 
+use moldline_foundation::quadrature::GAUSS_2;
 use moldline_mesh::Vector3;
 use rayon::prelude::*;
 
-use crate::{surface::Surface, topology::Panels, wake::Wakes};
+use crate::{
+    panels::{Edge, Panels},
+    surface::Surface,
+    wake::Wakes,
+};
 
 /// Pieces are halved until they are smaller than this part of their distance from the vortex ...
 const NEAR: f64 = 0.5;
@@ -31,10 +36,10 @@ const DEPTH: u32 = 10;
 /// Where vortices begin, downstream of the trailing edge, as a part of a strip's width. At the trailing edge itself the velocity of single edges
 /// has no bound, and that of all together has none on a mesh, where strengths have steps.
 const START: f64 = 0.05;
-/// The nodes of the rule with two of them, on 0..1.
-const NODES: [f64; 2] = [0.211_324_865_405_187_1, 0.788_675_134_594_812_9];
+/// The nodes of the rule with two of them, on 0..1; both weights are 1/2.
+const NODES: [f64; 2] = [0.5 * (1.0 + GAUSS_2[0].0), 0.5 * (1.0 + GAUSS_2[1].0)];
 
-/// Upward force on the wakes by the body, by dynamic pressure, m^2, as a form in the onset flow: both halves, in real coordinates.
+/// Upward force of the body on the wakes over dynamic pressure, m^2, as a form in the onset flow: both halves, in real coordinates.
 /// `doublets` and `circulations` are those of the unit onset flows.
 pub(crate) fn lift<const B: usize>(
     panels: &Panels,
@@ -43,22 +48,7 @@ pub(crate) fn lift<const B: usize>(
     doublets: &[Vec<f64>; B],
     circulations: &[Vec<f64>; B],
 ) -> [[f64; B]; B] {
-    // Filaments from a to b. Where a wake begins on the surface, its border is a part of them.
-    let mut filaments: Vec<[f64; B]> = panels
-        .edges
-        .iter()
-        .map(|e| {
-            std::array::from_fn(|k| {
-                let mu = |panel: u32| doublets[k][panel as usize];
-                e.right.map_or(0.0, mu) - mu(e.left)
-            })
-        })
-        .collect();
-    for jump in &wakes.jumps {
-        for k in 0..B {
-            filaments[jump.edge as usize][k] -= jump.sign * circulations[k][jump.strip as usize];
-        }
-    }
+    let filaments = filaments(panels, wakes, doublets, circulations);
     let sources: [Vec<f64>; B] = std::array::from_fn(|k| {
         let onset = surface.onset(panels.axes()[k]);
         surface.normals.iter().map(|n| -onset.dot(n)).collect()
@@ -92,7 +82,29 @@ pub(crate) fn lift<const B: usize>(
     std::array::from_fn(|k| std::array::from_fn(|l| factor * forces.iter().map(|f| f[k][l]).sum::<f64>()))
 }
 
-/// Where vortices begin that run along x, and their strengths.
+/// The strengths of all edges as vortices from a to b. Where a wake begins on the surface, its border is a part of them.
+fn filaments<const B: usize>(
+    panels: &Panels,
+    wakes: &Wakes,
+    doublets: &[Vec<f64>; B],
+    circulations: &[Vec<f64>; B],
+) -> Vec<[f64; B]> {
+    let edge = |e: &Edge| {
+        std::array::from_fn(|k| {
+            let mu = |panel: u32| doublets[k][panel as usize];
+            e.right.map_or(0.0, mu) - mu(e.left)
+        })
+    };
+    let mut filaments: Vec<[f64; B]> = panels.edges.iter().map(edge).collect();
+    for jump in &wakes.jumps {
+        for k in 0..B {
+            filaments[jump.edge as usize][k] -= jump.sign * circulations[k][jump.strip as usize];
+        }
+    }
+    filaments
+}
+
+/// The beginnings of the vortices along x, and their strengths.
 fn vortices<const B: usize>(
     surface: &Surface,
     wakes: &Wakes,
@@ -155,13 +167,12 @@ fn over_panel(corners: &[Vector3; 4], depth: u32, f: &impl Fn(&Vector3) -> f64) 
 mod tests {
     use super::*;
     use crate::{
-        NoMonitor, Options, PanelSetup, Solution, Symmetry, TrailingEdges,
-        influence::Influence,
-        meshes::Wing,
-        solution::{AnyState, State},
+        NoMonitor, Options, PanelSetup, Solution, Symmetry, TrailingEdges, influence::Influence,
+        solution::AnyState, state::State,
     };
+    use moldline_testing::Wing;
 
-    /// The upward force by the velocity along the vortices, summed downstream.
+    /// The upward force from the velocity along the vortices, summed downstream.
     fn along_the_vortices<const B: usize>(solution: &Solution, state: &State<B>) -> [[f64; B]; B] {
         let setup = &solution.setup;
         let influence = Influence::<B>::new(&setup.panels, &setup.wakes, &state.surface);

@@ -1,4 +1,4 @@
-//! From documents to the engine's input.
+//! Conversion of documents to the engine's input.
 
 use moldline_deform::SetupInput;
 use moldline_geometry::{Component, ComponentOptions, PatchInput, Primitive};
@@ -19,14 +19,14 @@ use crate::outputs::output;
 use crate::parse::{parse_geometry, parse_setup};
 use crate::{SetupFileError, document};
 
-/// A set-up as read, ready for [`moldline_deform::Setup::build`].
+/// A set-up that has been read, ready for [`moldline_deform::Setup::build`].
 #[derive(Clone, Debug)]
 pub struct SetupContent {
     /// Its title; the name of the set-up file if it has none.
     pub name: String,
-    /// For the engine.
+    /// The engine's input.
     pub input: SetupInput,
-    /// Files that it consists of: the set-up file, geometry, mesh. What else was uploaded does not matter.
+    /// Its files: the set-up file, geometry, mesh. Other files that were uploaded are not part of it.
     pub files: Vec<String>,
 }
 
@@ -68,7 +68,7 @@ pub fn read_setup(
     }
     let variables: Vec<_> = document.parameterisation.variables.into_iter().map(variable).collect();
     let operations: Vec<_> = document.parameterisation.operations.into_iter().map(operation).collect();
-    // Neither needs the other, and both take time.
+    // Independent, and both take time.
     let (mesh, parameterisation) = rayon::join(
         || reader.mesh(document.mesh),
         || Parameterisation::new(&references, &variables, &operations),
@@ -265,7 +265,7 @@ impl<'a> Reader<'a> {
 fn inline_cell((i, vertices): (usize, &Vec<u32>)) -> Result<Cell, SetupFileError> {
     match vertices[..] {
         [a, b, c] => Ok(Cell::triangle(a, b, c)),
-        // The last index marks triangles inside, so it is no vertex.
+        // `u32::MAX` marks triangles in `Cell`, so it cannot be a vertex.
         [_, _, _, u32::MAX] => Err(value_error(format!("mesh.cells[{i}][3]"), u32::MAX, "is no vertex")),
         [a, b, c, d] => Ok(Cell::quad(a, b, c, d)),
         _ => Err(SetupFileError::Size {
@@ -300,7 +300,7 @@ fn knots(field: &str, direction: char, degree: usize, knots: Vec<f64>) -> Result
     })
 }
 
-/// Rows of rows as one list, if they have the shape that knots and degrees ask for.
+/// Nested rows as one list, if they have the shape that knots and degrees require.
 fn grid<T>(
     field: &str,
     what: &'static str,

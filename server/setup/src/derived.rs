@@ -1,20 +1,20 @@
-//! What the engine derives of a set-up, as bytes: numbers in order, little-endian, counts before rows.
+//! The engine's derived data of a set-up as bytes: numbers in order, little-endian, counts before rows.
 //!
-//! A reader trusts no count; whether the numbers fit a set-up is for [`Setup::restore`](moldline_deform::Setup::restore).
+//! The reader checks every count; [`Setup::restore`](moldline_deform::Setup::restore) checks whether the numbers fit a set-up.
 
 use moldline_deform::{
     Attachment, Derived, Factors, FoundLine, FoundSeams, Freedom, Location, OwnershipParts,
 };
 use moldline_spline::Vector3;
 
-/// Names the engine that finds what it derives: its sources, the compiler and the processor's kind. What another one found
-/// is not taken.
+/// Build id of the engine: a hash of its sources, the compiler and the kind of processor. Derived data of another build are not
+/// accepted.
 pub const BUILD: &str = env!("MOLDLINE_BUILD");
 
-/// First of all; changes with the order below.
+/// The first bytes; they change with the order below.
 const MAGIC: &[u8; 8] = b"MOLDDER2";
 
-/// Writes what was derived.
+/// Writes derived data.
 pub fn encode_derived(derived: &Derived) -> Vec<u8> {
     let Derived { ownership, seams, middles, fields } = derived;
     let numbers: usize = fields.iter().map(|factors| factors.top.len() + factors.lower.len() + 4).sum();
@@ -48,8 +48,8 @@ pub fn encode_derived(derived: &Derived) -> Vec<u8> {
         [*u, *v].iter().for_each(|value| out.number(*value));
     }
     out.count(fields.len());
-    for Factors { rounding, regularisation, top, lower } in fields {
-        out.number(*rounding);
+    for Factors { shape_squared, regularisation, top, lower } in fields {
+        out.number(*shape_squared);
         out.number(*regularisation);
         out.numbers(top);
         out.numbers(lower);
@@ -57,7 +57,7 @@ pub fn encode_derived(derived: &Derived) -> Vec<u8> {
     out.0
 }
 
-/// Reads what [`encode_derived`] wrote; `None` if it is something else.
+/// Reads data written by [`encode_derived`]; `None` if the bytes are something else.
 pub fn decode_derived(bytes: &[u8]) -> Option<Derived> {
     let mut rest = Reader(bytes.strip_prefix(MAGIC)?);
     let offsets = rest.integers()?;
@@ -99,8 +99,8 @@ pub fn decode_derived(bytes: &[u8]) -> Option<Derived> {
         .collect::<Option<_>>()?;
     const FIELD: usize = 4 * 8;
     let fields = (0..rest.count(FIELD)?).map(|_| {
-        let (rounding, regularisation) = (rest.number()?, rest.number()?);
-        Some(Factors { rounding, regularisation, top: rest.numbers()?, lower: rest.numbers()? })
+        let (shape_squared, regularisation) = (rest.number()?, rest.number()?);
+        Some(Factors { shape_squared, regularisation, top: rest.numbers()?, lower: rest.numbers()? })
     });
     let fields = fields.collect::<Option<_>>()?;
     let ownership = OwnershipParts { offsets, attachments, cell_owner };
@@ -154,7 +154,7 @@ impl<'b> Reader<'b> {
         Some([self.number()?, self.number()?])
     }
 
-    /// A count of rows of so many bytes at least, which are all there.
+    /// A count of rows of at least so many bytes each, all of which are present.
     fn count(&mut self, row: usize) -> Option<usize> {
         let count = usize::try_from(u64::from_le_bytes(self.take(8)?.try_into().ok()?)).ok()?;
         (count.checked_mul(row)? <= self.0.len()).then_some(count)
@@ -202,7 +202,7 @@ mod tests {
             middles: vec![location],
             fields: vec![
                 Factors {
-                    rounding: 0.5,
+                    shape_squared: 0.5,
                     regularisation: 0.25,
                     top: vec![1.0, 2.0],
                     lower: vec![3.0, -4.0, 5.0],

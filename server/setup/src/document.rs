@@ -1,4 +1,4 @@
-//! The set-up format, version 1. Every struct refuses fields that it does not know.
+//! The set-up format, version 1. Every struct refuses unknown fields.
 //!
 //! Axes: x aft, y starboard, z up. Lengths in `parameterisation` and `options` are metres; geometry and mesh have a
 //! `unit` of their own. Design variables declare theirs.
@@ -21,7 +21,7 @@ pub struct SetupDocument {
     pub name: String,
     /// The reference mesh.
     pub mesh: MeshDocument,
-    /// The components, in the order of their control points.
+    /// The components; control points follow their order.
     pub components: Vec<ComponentDocument>,
     /// Design variables and operations; without it the control points are given directly.
     #[serde(default)]
@@ -29,7 +29,7 @@ pub struct SetupDocument {
     /// Scalar outputs besides those that every set-up has.
     #[serde(default)]
     pub outputs: Vec<OutputDocument>,
-    /// Choices of the engine; each has a default.
+    /// Options of the engine; each has a default.
     #[serde(default)]
     pub options: OptionsDocument,
 }
@@ -68,7 +68,7 @@ impl LengthUnit {
     }
 }
 
-/// The reference mesh: a file, or vertices and cells in place.
+/// The reference mesh: a file, or inline vertices and cells.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MeshDocument {
@@ -78,13 +78,13 @@ pub struct MeshDocument {
     /// Unit of the coordinates.
     #[serde(default)]
     pub unit: LengthUnit,
-    /// STL only: corners closer than this become one vertex, in the file's unit. 0 merges equal ones only.
+    /// STL only: corners within this distance, in the file's unit, become one vertex. 0 merges equal corners only.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub merge_tolerance: Option<f64>,
-    /// Vertices in place of a file.
+    /// Inline vertices, instead of a file.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub vertices: Option<Vec<[f64; 3]>>,
-    /// Cells in place of a file: three or four vertex indices each, from 0, counter-clockwise seen from outside.
+    /// Inline cells, instead of a file: three or four vertex indices each, from 0, counter-clockwise seen from outside.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cells: Option<Vec<Vec<u32>>>,
     /// Named vertex groups of an inline mesh, for constraints.
@@ -111,7 +111,7 @@ pub struct ComponentDocument {
     /// Path of a geometry file in the folder (JSON, see `geometry.schema.json`).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub file: Option<String>,
-    /// Patches in place of a file.
+    /// Inline patches, instead of a file.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub patches: Option<Vec<PatchDocument>>,
     /// An analytic shape, made of exact rational patches.
@@ -123,7 +123,7 @@ pub struct ComponentDocument {
     /// Edges between patches are sharp where their normals differ by more than this, degrees. Default: 20.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sharp_angle: Option<f64>,
-    /// Patch edges this close are the same, relative to the component's size. Default: 1e-7.
+    /// Patch edges within this distance of each other, relative to the component's size, are one. Default: 1e-7.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub edge_tolerance: Option<f64>,
     /// Whether the shell may be open (half model, cut at the plane of symmetry).
@@ -136,15 +136,15 @@ pub struct ComponentDocument {
 #[serde(deny_unknown_fields)]
 #[schemars(title = "Moldline geometry")]
 pub struct GeometryDocument {
-    /// For people; the set-up's name of the component counts.
+    /// For people; the component is called by its name in the set-up.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
     /// The patches.
     pub patches: Vec<PatchDocument>,
 }
 
-/// An untrimmed tensor-product B-spline patch, S(u, v) = sum_ij N_i(u) N_j(v) P_ij. The side the normals point to is
-/// found, not prescribed.
+/// An untrimmed tensor-product B-spline patch, S(u, v) = sum_ij N_i(u) N_j(v) P_ij. The outward side is found, not
+/// prescribed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PatchDocument {
@@ -161,7 +161,7 @@ pub struct PatchDocument {
     pub knots_v: Vec<f64>,
     /// Cartesian control points, `[i][j]`: n_u rows of n_v points.
     pub control_points: Vec<Vec<[f64; 3]>>,
-    /// Positive weights `[i][j]`; without them all are 1.
+    /// Positive weights `[i][j]`; all 1 if absent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub weights: Option<Vec<Vec<f64>>>,
 }
@@ -224,11 +224,11 @@ pub struct VariableDocument {
     pub name: String,
     /// Unit of baseline, bounds and values.
     pub unit: UnitDocument,
-    /// Nothing for a scalar, `[n]`, or `[rows, stations]`.
+    /// Empty for a scalar, `[n]`, or `[rows, stations]`.
     #[serde(default)]
     pub shape: Vec<usize>,
     /// The value that leaves the geometry as it is. Default: 0 for angles, lengths and fractions of chord; 1 for
-    /// factors; for planform area and aspect ratio what the geometry has. Required for a diameter.
+    /// factors; the geometry's own value for planform area and aspect ratio. Required for a diameter.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub baseline: Option<f64>,
     /// Lower bound; none if absent.
@@ -280,7 +280,7 @@ pub enum AxisDocument {
     Z,
 }
 
-/// What a design variable does to components.
+/// An operation: the effect of design variables on components.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "type", rename_all = "snake_case", deny_unknown_fields)]
 pub enum OperationDocument {
@@ -289,7 +289,7 @@ pub enum OperationDocument {
     FreeForm {
         /// Components embedded.
         components: Vec<String>,
-        /// Axis across which the sections stand.
+        /// Axis that the sections are perpendicular to.
         #[serde(default = "axis_y")]
         span: AxisDocument,
         /// Whether both sides of the plane 0 of the span axis mirror each other.
@@ -313,8 +313,8 @@ pub enum OperationDocument {
         /// Whether the root is the plane 0 of the span axis, or the lower end of the span.
         #[serde(default = "yes")]
         symmetric: bool,
-        /// The point that stays, in reference coordinates, m (its coordinate along the span is that of the root); the
-        /// operations before this one carry it along. Default: the first component's root quarter chord.
+        /// The fixed point, in reference coordinates, m (its coordinate along the span is that of the root); earlier
+        /// operations carry it along. Default: the first component's root quarter chord.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         pivot: Option<[f64; 3]>,
         /// Scalar variable, an area.
@@ -323,7 +323,7 @@ pub enum OperationDocument {
         /// Scalar variable, a ratio.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         aspect_ratio: Option<String>,
-        /// What happens to sweep and dihedral.
+        /// How sweep and dihedral change.
         #[serde(default)]
         sweep: SweepDocument,
     },
@@ -334,8 +334,8 @@ pub enum OperationDocument {
         /// Direction of the axis.
         #[serde(default = "direction_y")]
         axis: [f64; 3],
-        /// A point on the axis in reference coordinates, m; the operations before this one carry it along. Default:
-        /// the root quarter chord of the first component.
+        /// A point on the axis in reference coordinates, m; earlier operations carry it along. Default: the root quarter
+        /// chord of the first component.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         pivot: Option<[f64; 3]>,
         /// Scalar variable, an angle.
@@ -351,7 +351,7 @@ pub enum OperationDocument {
         /// Scalar variable, a length.
         variable: String,
     },
-    /// Scale of a body about its centre line, fading to none at nose and tail.
+    /// Radial scale of a body about its centre line, fading out at nose and tail.
     RadialScale {
         /// Components scaled.
         components: Vec<String>,
@@ -361,7 +361,7 @@ pub enum OperationDocument {
         /// A point on a straight centre line, m. Default: the middle of each cross-section of the first component.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         centre: Option<[f64; 3]>,
-        /// Stations along the axis, m: none before the first, full between second and third, none after the fourth.
+        /// Stations along the axis, m: no scaling before the first, full between second and third, none after the fourth.
         stations: [f64; 4],
         /// Scalar variable: a ratio, or a diameter with its baseline.
         variable: String,
@@ -384,7 +384,7 @@ pub enum SectionDocument {
     },
     /// Length outward; antisymmetric, zero at the root of a mirrored block.
     SpanStretch {
-        /// Variable of shape `[stations]`, without the root's.
+        /// Variable of shape `[stations]`, without the root's coefficient.
         variable: String,
         /// Degree along the span.
         degree: usize,
@@ -426,17 +426,17 @@ pub enum SectionDocument {
         variable: String,
         /// Degree along the span.
         degree: usize,
-        /// As for camber.
+        /// The rows moved, as for camber.
         #[serde(default)]
         rows: Vec<usize>,
     },
 }
 
-/// What a change of planform does to sweep and dihedral.
+/// How sweep and dihedral change with the planform.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum SweepDocument {
-    /// The component is scaled affinely: their tangents go with chord over span.
+    /// The component is scaled affinely: the tangents of sweep and dihedral go with chord over span.
     #[default]
     Scaled,
     /// The angles stay: each section is scaled about its own quarter chord.

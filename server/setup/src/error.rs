@@ -1,5 +1,6 @@
 //! Errors with the path of the field: `components[1].patches[0].knots_u[7] = NaN is not finite`.
 
+use moldline_foundation::Failure;
 use moldline_geometry::{ComponentError, PrimitiveError};
 use moldline_mesh::{MeshError, io::ReadError};
 use moldline_parameterisation::ParameterisationError;
@@ -11,12 +12,12 @@ pub enum SetupFileError {
     /// There is no set-up file, or more than one.
     #[error("{found}; expected one of setup.toml and setup.json in the top folder. Files: {known}")]
     SetupFile {
-        /// What there is instead.
+        /// The set-up files found.
         found: &'static str,
         /// Names of the files.
         known: String,
     },
-    /// A file that the set-up names is not there.
+    /// A file named by the set-up is missing.
     #[error("{field} = '{path}' is not among the files of the set-up: {known}")]
     MissingFile {
         /// Path of the field.
@@ -36,16 +37,16 @@ pub enum SetupFileError {
         /// What is wrong with it.
         reason: &'static str,
     },
-    /// More than is accepted.
+    /// More than the limit.
     #[error("{field}: {count} {what} exceed the limit of {limit}")]
     TooMany {
         /// Path of the field, file or archive.
         field: String,
         /// What is counted.
         what: &'static str,
-        /// How many there are (at least).
+        /// Their number, or a lower bound.
         count: u64,
-        /// How many are accepted.
+        /// Largest number accepted.
         limit: u64,
     },
     /// The document is not well-formed, lacks a field, has an unknown one or one of the wrong type.
@@ -58,7 +59,7 @@ pub enum SetupFileError {
         /// What is wrong.
         message: String,
     },
-    /// A version of the format that is not known.
+    /// An unknown version of the format.
     #[error("format = {found} is not supported; this program reads format = 1")]
     Format {
         /// The version found.
@@ -79,22 +80,22 @@ pub enum SetupFileError {
         field: String,
         /// Its value, as text.
         value: String,
-        /// What it has to be.
+        /// The requirement.
         requirement: String,
     },
-    /// Two lists, or a list and a degree, do not fit together.
+    /// The lengths of two lists, or of a list and a degree, do not match.
     #[error("{field} has {found} {what}, expected {expected}")]
     Size {
         /// Path of the list.
         field: String,
         /// Its length.
         found: usize,
-        /// What it consists of.
+        /// Kind of its entries.
         what: &'static str,
-        /// The length needed, and why.
+        /// The required length, and why.
         expected: String,
     },
-    /// A knot vector that is none.
+    /// An invalid knot vector.
     #[error("{field}: {source}")]
     Knots {
         /// Path of the knot vector.
@@ -109,10 +110,10 @@ pub enum SetupFileError {
         field: String,
         /// The fields to choose from.
         choices: &'static str,
-        /// Those that are there.
+        /// Those present.
         found: String,
     },
-    /// Two components, files or groups of one name.
+    /// Two components, files or groups of the same name.
     #[error("{field}: '{name}' occurs twice")]
     Duplicate {
         /// Path of the second.
@@ -120,7 +121,7 @@ pub enum SetupFileError {
         /// The name.
         name: String,
     },
-    /// Patches that make no component.
+    /// Patches that do not form a component.
     #[error("components[{index}] ('{name}'): {source}")]
     Component {
         /// Index of the component.
@@ -130,7 +131,7 @@ pub enum SetupFileError {
         /// What is wrong.
         source: ComponentError,
     },
-    /// A primitive that is none.
+    /// An invalid primitive.
     #[error("components[{index}].primitive ('{name}'): {source}")]
     Primitive {
         /// Index of the component.
@@ -140,7 +141,7 @@ pub enum SetupFileError {
         /// What is wrong.
         source: PrimitiveError,
     },
-    /// A mesh file that cannot be read, or holds no valid mesh.
+    /// A mesh file that cannot be read, or whose mesh is not valid.
     #[error("mesh ({file}): {source}")]
     MeshFile {
         /// Name of the file.
@@ -148,10 +149,10 @@ pub enum SetupFileError {
         /// What is wrong.
         source: ReadError,
     },
-    /// An inline mesh that is not valid.
+    /// An invalid inline mesh.
     #[error("mesh: {0}")]
     Mesh(#[from] MeshError),
-    /// A parameterisation that does not hold together.
+    /// An invalid parameterisation.
     #[error("parameterisation.{0}")]
     Parameterisation(#[from] ParameterisationError),
     /// An archive that cannot be read.
@@ -168,4 +169,33 @@ pub enum SetupFileError {
         /// The system's reason.
         source: std::io::Error,
     },
+}
+
+impl Failure for SetupFileError {
+    fn field(&self) -> Option<String> {
+        Some(match self {
+            Self::SetupFile { .. } => "setup_file".to_owned(),
+            Self::MissingFile { field, .. }
+            | Self::Path { field, .. }
+            | Self::TooMany { field, .. }
+            | Self::NotFinite { field, .. }
+            | Self::Value { field, .. }
+            | Self::Size { field, .. }
+            | Self::Knots { field, .. }
+            | Self::Choice { field, .. }
+            | Self::Duplicate { field, .. } => field.clone(),
+            Self::Syntax { file, field, .. } if field.is_empty() => file.clone(),
+            Self::Syntax { field, .. } => field.clone(),
+            Self::Format { .. } => "format".to_owned(),
+            Self::Component { index, .. } => format!("components[{index}]"),
+            Self::Primitive { index, .. } => format!("components[{index}].primitive"),
+            Self::MeshFile { source: ReadError::Mesh(error), .. } | Self::Mesh(error) => {
+                return error.field().map(|field| format!("mesh.{field}"));
+            }
+            Self::MeshFile { .. } => "mesh.file".to_owned(),
+            Self::Parameterisation(error) => return error.field(),
+            Self::Archive { .. } => "archive".to_owned(),
+            Self::Io { path, .. } => path.clone(),
+        })
+    }
 }

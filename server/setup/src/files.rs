@@ -1,4 +1,4 @@
-//! Folders and archives as names to bytes.
+//! Folders and archives as maps of names to bytes.
 
 use std::collections::BTreeMap;
 use std::io::{Cursor, Read};
@@ -12,12 +12,12 @@ use crate::parse::{parse_setup, references};
 /// Files of a set-up: path relative to its folder, with `/`, and bytes.
 pub type Files = BTreeMap<String, Vec<u8>>;
 
-/// Names under which the set-up file is looked for.
+/// Usual names of the set-up file.
 const SETUP_FILES: [&str; 2] = ["setup.toml", "setup.json"];
 /// Longest path accepted, bytes.
 const PATH_LIMIT: usize = 512;
 
-/// What is accepted at most.
+/// Limits on a set-up.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
     /// Files of a set-up.
@@ -72,7 +72,7 @@ impl ArchiveKind {
     }
 }
 
-/// Checks a path that comes from outside and gives it without `.` parts.
+/// Checks a path given by a user and returns it without `.` parts.
 ///
 /// # Errors
 /// [`SetupFileError::Path`] for absolute paths, `..`, backslashes, drive letters, empty parts and control characters.
@@ -162,7 +162,7 @@ impl<'a> Collector<'a> {
 
 fn unpack_tar(reader: impl Read, limits: &Limits) -> Result<Files, SetupFileError> {
     let mut collector = Collector::new(limits);
-    // Headers and padding cost bytes too, and links to nowhere none: what is read at all is bounded as well.
+    // Headers and padding cost bytes too, and broken links none: so all bytes read are bounded as well.
     let overhead = 4096 * (limits.files as u64 + 2);
     let mut archive = tar::Archive::new(reader.take(limits.bytes.saturating_add(overhead)));
     for entry in archive.entries().map_err(damaged)? {
@@ -218,7 +218,7 @@ fn without_top_folder(files: Files) -> Files {
     files.into_iter().map(|(path, bytes)| (path[first.len() + 1..].to_owned(), bytes)).collect()
 }
 
-/// The name of the set-up file: the one given, or whichever of the usual names is there.
+/// The name of the set-up file: the one given, or the one of the usual names that is present.
 pub(crate) fn find_setup_file(files: &Files, given: Option<&str>) -> Result<String, SetupFileError> {
     if let Some(given) = given {
         let path = clean_path("setup_file", given)?;
@@ -237,7 +237,7 @@ pub(crate) fn find_setup_file(files: &Files, given: Option<&str>) -> Result<Stri
     Ok(first.into())
 }
 
-/// The names, as far as a message can show them.
+/// The names, shortened to fit a message.
 pub(crate) fn names(files: &Files) -> String {
     const SHOWN: usize = 12;
     let shown: Vec<&str> = files.keys().take(SHOWN).map(String::as_str).collect();
@@ -249,10 +249,10 @@ pub(crate) fn names(files: &Files) -> String {
 }
 
 /// Reads a set-up from disk: a folder (with `setup.toml` or `setup.json`), a set-up file in its folder, or an archive.
-/// Of a folder only the set-up file and what it names are read. Gives the files and the name of the set-up file.
+/// In a folder only the set-up file and the files that it names are read. Returns the files and the name of the set-up file.
 ///
 /// # Errors
-/// If a file cannot be read, or the set-up file cannot be parsed far enough to know what it names.
+/// If a file cannot be read, or the set-up file cannot be parsed far enough to know the files that it names.
 pub fn read_folder(path: &Path, limits: &Limits) -> Result<(Files, String), SetupFileError> {
     let io = |path: &Path| {
         let path = path.display().to_string();

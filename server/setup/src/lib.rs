@@ -1,13 +1,13 @@
 //! Set-ups as users write them: a folder or an archive with `setup.toml` (or `setup.json`), geometry and mesh files.
 //!
-//! The way through: [`read_folder`] or [`unpack`] gives [`Files`] (names to bytes); [`read_setup`] parses the document,
+//! The steps: [`read_folder`] or [`unpack`] gives [`Files`] (names to bytes); [`read_setup`] parses the document,
 //! checks every number and converts it to the engine's [`SetupInput`](moldline_deform::SetupInput). Errors name the
 //! field: `components[1].patches[0].knots_u[7] = NaN is not finite`. The [`document`] module is the format itself;
 //! its JSON Schema is published as `docs/setup.schema.json`.
 //!
-//! What the engine derived from a set-up goes to bytes and back by [`encode_derived`] and [`decode_derived`].
+//! [`encode_derived`] and [`decode_derived`] convert the engine's derived data to bytes and back.
 //!
-//! Only [`read_folder`] touches the disk. Nothing here trusts a count, a path or a size before it is checked.
+//! Only [`read_folder`] touches the disk. Every count, path and size is checked before it is used.
 
 mod convert;
 mod derived;

@@ -5,7 +5,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// Choices of the engine. What is absent takes its default.
+/// Options of the engine. Absent fields take their defaults.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct OptionsDocument {
@@ -24,7 +24,7 @@ pub struct OptionsDocument {
     /// Regularisation of the displacement fields; 0 interpolates.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub regularisation: Option<f64>,
-    /// Training vertices at most.
+    /// Largest number of training vertices.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub training_vertices: Option<usize>,
     /// Blending radius, as a fraction of the largest distance from a seam on the same component.
@@ -52,7 +52,7 @@ pub struct OptionsDocument {
     pub seam: SeamDocument,
     /// Smoothing after the displacement field.
     pub smoothing: SmoothingDocument,
-    /// Projection steps at most.
+    /// Largest number of projection steps.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub projection_steps: Option<usize>,
     /// Largest distance from the outer mold line accepted, relative to the reference length.
@@ -60,7 +60,7 @@ pub struct OptionsDocument {
     pub projection_tolerance: Option<f64>,
 }
 
-/// Where the deformed mesh ends.
+/// The surface on which the deformed mesh ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum OuterMoldLineDocument {
@@ -78,7 +78,7 @@ pub enum PropagationDocument {
     Absolute,
     /// Only the departure of the seams from their components' motion is interpolated.
     Departure,
-    /// The same along the undeformed components' surfaces.
+    /// As `departure`, along the undeformed components' surfaces.
     Surface,
 }
 
@@ -86,8 +86,9 @@ pub enum PropagationDocument {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum KernelDocument {
-    /// -r.
-    Linear,
+    /// Multiquadric, -sqrt(r^2 + c^2) with a small c: nearly -r.
+    #[serde(rename = "linear")]
+    Multiquadric,
     /// r^3.
     Cubic,
 }
@@ -215,4 +216,4 @@ macro_rules! same_variants {
 
 same_variants!(OuterMoldLineDocument, OuterMoldLine: Sharp, Smooth);
 same_variants!(PropagationDocument, Propagation: Absolute, Departure, Surface);
-same_variants!(KernelDocument, Kernel: Linear, Cubic);
+same_variants!(KernelDocument, Kernel: Multiquadric, Cubic);

@@ -1,4 +1,4 @@
-//! Scalar outputs of a set-up file: documents and what the engine makes of them.
+//! Scalar outputs of a set-up file: documents, and their conversion to the engine's declarations.
 
 use moldline_deform::{ComponentPoint, OutputDeclaration};
 use moldline_geometry::Component;
@@ -27,7 +27,7 @@ pub enum OutputDocument {
         component: String,
         /// The leading edge.
         leading_edge: LineDocument,
-        /// The trailing edge, run through in the same direction.
+        /// The trailing edge, traversed in the same direction.
         trailing_edge: LineDocument,
         /// Stations, evenly spaced in the parameter; between them edges count as straight.
         #[serde(default = "stations")]
@@ -53,7 +53,7 @@ pub struct WeightedPointDocument {
     pub weight: f64,
 }
 
-/// A line of one constant parameter: `u` or `v` is given, the other one runs over its range.
+/// A parameter line: `u` or `v` is given, the other one runs over its range.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LineDocument {
@@ -66,7 +66,7 @@ pub struct LineDocument {
     /// Constant second parameter.
     #[serde(default)]
     pub v: Option<f64>,
-    /// Where the other parameter starts and ends, if not at the ends of its range.
+    /// Start and end of the other parameter; by default those of its range.
     #[serde(default)]
     pub range: Option<[f64; 2]>,
 }

@@ -1,4 +1,4 @@
-//! TOML and JSON to documents, with the path of the field in every error.
+//! Parsing of TOML and JSON to documents, with the path of the field in every error.
 
 use serde::de::DeserializeOwned;
 
@@ -72,7 +72,7 @@ fn parse_json<T: DeserializeOwned>(file: &str, prefix: &str, bytes: &[u8]) -> Re
     Ok(value)
 }
 
-/// `prefix.path`, where either may be missing (the path is `.` at the root of a document, `?` where none is known).
+/// `prefix.path`, where either may be missing (the path is `.` at the root of a document, `?` if unknown).
 fn field_path(prefix: &str, path: &str) -> String {
     let path = path.trim_end_matches('?').trim_end_matches('.');
     match (prefix.is_empty(), path.is_empty()) {
@@ -82,7 +82,7 @@ fn field_path(prefix: &str, path: &str) -> String {
     }
 }
 
-/// JSON has no NaN and no infinity, but programs write them all the same (`NaN`, `-Infinity`, `1e999`).
+/// JSON has no NaN and no infinity, but some programs write them nevertheless (`NaN`, `-Infinity`, `1e999`).
 fn not_a_number(text: &str, error: &serde_json::Error) -> Option<f64> {
     const WORDS: [(&str, f64); 5] = [
         ("NaN", f64::NAN),
@@ -92,7 +92,7 @@ fn not_a_number(text: &str, error: &serde_json::Error) -> Option<f64> {
         ("inf", f64::INFINITY),
     ];
     let line = text.lines().nth(error.line().checked_sub(1)?)?.as_bytes();
-    // The column is that of the last byte read: of the first that cannot begin a number, or of the last digit.
+    // The column is that of the last byte read: the first that cannot begin a number, or the last digit.
     let column = error.column().min(line.len());
     let start = line[..column].iter().rposition(|b| b",[: \t".contains(b)).map_or(0, |i| i + 1);
     let rest = &line[start..];

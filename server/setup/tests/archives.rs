@@ -1,4 +1,4 @@
-//! Folders and archives: the same files whichever way, and hostile archives refused.
+//! Folders and archives: the same files from either, and hostile archives rejected.
 
 mod common;
 
@@ -13,7 +13,7 @@ fn tar_of(entries: &[(&str, &[u8])]) -> Vec<u8> {
     let mut builder = tar::Builder::new(Vec::new());
     for (path, bytes) in entries {
         let mut header = tar::Header::new_ustar();
-        // Written by hand: the builder itself refuses bad paths.
+        // Written by hand, since the builder itself rejects bad paths.
         header.as_old_mut().name[..path.len()].copy_from_slice(path.as_bytes());
         header.set_size(bytes.len() as u64);
         header.set_mode(0o644);
@@ -123,7 +123,7 @@ fn more_than_the_limits() {
     for (kind, bytes) in [(ArchiveKind::Tar, tar_of(&many)), (ArchiveKind::Zip, zip_of(&many))] {
         assert_eq!(refused(kind, &bytes, &limits), "archive: 4 files exceed the limit of 3");
     }
-    // A header that promises more than there is allocates nothing of it.
+    // A header that states more than the archive holds allocates nothing.
     let mut header = tar::Header::new_gnu();
     header.set_path("huge").expect("short");
     header.set_size(1 << 60);

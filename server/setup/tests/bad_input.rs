@@ -1,4 +1,4 @@
-//! Everything that must be refused while a set-up is read, with the field, index and value in the message.
+//! Faulty set-ups, each rejected with the field, index and value in the message.
 
 mod common;
 
@@ -47,7 +47,7 @@ fn nan_and_infinite_control_points() {
         let files = Files::from([("setup.json".to_owned(), text.into_bytes())]);
         read_setup(&files, None, &Limits::default()).expect_err("must be refused").to_string()
     };
-    // The first face that has this corner.
+    // The first face with this corner.
     let field = "components[1].patches[0].control_points[1][1][1]";
     assert_eq!(spoil("NaN"), format!("{field} = NaN is not finite"));
     assert_eq!(spoil("-Infinity"), format!("{field} = -inf is not finite"));

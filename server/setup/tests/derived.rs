@@ -1,4 +1,4 @@
-//! A set-up restored from what was derived of it is the same, bit for bit, without looking for it again.
+//! A set-up restored from its derived data is the same, bit for bit, without a search.
 #![allow(clippy::unwrap_used, reason = "helpers of tests are tests")]
 
 use std::{
@@ -10,7 +10,7 @@ use std::{
 use moldline_deform::{Derived, Monitor, NoMonitor, Setup, Stage};
 use moldline_setup::{Limits, decode_derived, encode_derived, read_folder, read_setup};
 
-/// When each stage was heard of first.
+/// Time of the first report of each stage.
 struct Watch(Mutex<Vec<(Stage, Instant)>>);
 
 impl Monitor<Stage> for Watch {
@@ -60,7 +60,7 @@ fn a_restored_set_up_has_the_same_bits() {
     assert_eq!(a.vertices, b.vertices);
     assert_eq!(a.functions, b.functions);
 
-    // What belongs to another set-up is not believed.
+    // Derived data of another set-up are rejected.
     let mut other = built.derived();
     other.ownership.cell_owner.pop();
     other.seams.lines[0].components = [0, 0];

@@ -36,7 +36,7 @@ fn bodies(setup: &Setup, values: &[(&str, f64)]) -> Vec<Body> {
     setup.bodies(&setup.parameterisation().control_points(&design).unwrap()).unwrap()
 }
 
-/// Largest distance of any vertex from a component it lies on, by the global search, relative to the reference length.
+/// Largest distance of any vertex from one of its components, by the global search, relative to the reference length.
 fn largest_distance(setup: &Setup, deformation: &Deformation, bodies: &[Body]) -> f64 {
     let vertices = 0..deformation.vertices.len() as u32;
     let worst = vertices.map(|v| {
@@ -181,7 +181,7 @@ fn other_propagations_and_kernels_end_on_the_components_too() {
     for (propagation, kernel) in [
         (Propagation::Absolute, Kernel::Cubic),
         (Propagation::Departure, Kernel::Cubic),
-        (Propagation::Departure, Kernel::Linear),
+        (Propagation::Departure, Kernel::Multiquadric),
         (Propagation::Surface, Kernel::Cubic),
     ] {
         let mut content = content("examples/e175/setup-motions.toml");
@@ -308,7 +308,7 @@ fn stationary_vertices_that_their_component_leaves_are_named() {
     }
     let error = deform(&setup, &[("wing.rotation", 1.0)]).unwrap_err();
     let DeformError::Held { hold, count, worst, .. } = &error else { panic!("{error}") };
-    // The flat caps slide in their own plane: what lies inside them is still on the wing.
+    // The flat caps slide in their own plane: vertices inside them remain on the wing.
     assert!(*hold == Hold::Stationary && *count > tips.len() / 2 && *count < tips.len(), "{error}");
     assert!(tips.contains(&worst[0].vertex) && worst[0].distance > 1e-3, "{error}");
 }
@@ -328,7 +328,7 @@ fn a_protected_vertex_on_a_seam_is_named() {
 fn a_set_up_folder_may_hold_its_mesh_as_stl() {
     let original = content("tests/configurations/boom");
     let mesh = &original.input.mesh;
-    // ASCII, 17 digits: what a triangulation program writes, corners apart.
+    // ASCII with 17 digits, each triangle with its own corners, as triangulation programs write it.
     let mut stl = String::from("solid boom\n");
     for cell in &mesh.cells {
         stl += "facet normal 0 0 0\nouter loop\n";

@@ -1,19 +1,19 @@
 //! The B-spline basis by the Cox-de Boor recurrence, with derivatives from the bases of lower degree.
 //!
-//! The divisors of the recurrence do not depend on the parameter, so their reciprocals are kept per interval: what is
-//! left is additions and multiplications of non-negative numbers (values), stable for every degree.
+//! The divisors of the recurrence do not depend on the parameter, so their reciprocals are stored per interval. Values then take
+//! additions and multiplications of non-negative numbers only, which is stable for every degree.
 
 use crate::KnotVector;
 
 /// The highest degree supported.
 pub const MAX_DEGREE: usize = 9;
 
-/// The basis functions that do not vanish at a parameter.
+/// The non-vanishing basis functions at a parameter.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Basis {
-    /// Index of the first of them.
+    /// Index of the first function.
     pub first: usize,
-    /// How many: degree + 1.
+    /// Number of functions: degree + 1.
     pub count: usize,
     /// Values, first and second derivatives; entries from `count` on are zero.
     pub values: [[f64; MAX_DEGREE + 1]; 3],
@@ -34,8 +34,8 @@ impl Basis {
 }
 
 impl KnotVector {
-    /// The basis at `u` (clamped to the domain) with derivatives up to the given order, at most 2; derivatives of
-    /// higher order than asked for are zero.
+    /// The basis at `u` (clamped to the domain) with derivatives up to the given order, at most 2; those of higher order
+    /// are zero.
     #[inline]
     pub fn basis(&self, u: f64, derivatives: usize) -> Basis {
         let (first, values) = match self.degree() {

@@ -8,7 +8,7 @@ pub enum KnotError {
     /// The degree is zero or larger than [`MAX_DEGREE`].
     #[error("degree {degree} is not between 1 and {MAX_DEGREE}")]
     Degree {
-        /// The degree asked for.
+        /// The requested degree.
         degree: usize,
     },
     /// Fewer knots than a single span needs.
@@ -37,7 +37,7 @@ pub enum KnotError {
         /// The knot before it.
         previous: f64,
     },
-    /// An interior knot is repeated so often that the spline falls apart there.
+    /// An interior knot is repeated so often that the spline is discontinuous there.
     #[error(
         "the interior knot {value} (from index {index}) is repeated {multiplicity} times, more than the degree \
          {degree}: the spline would be torn there; split it into two patches"
@@ -47,7 +47,7 @@ pub enum KnotError {
         index: usize,
         /// The knot.
         value: f64,
-        /// How often it occurs.
+        /// Its multiplicity.
         multiplicity: usize,
         /// The degree.
         degree: usize,
@@ -60,7 +60,7 @@ pub enum KnotError {
     },
 }
 
-/// A validated knot vector with what evaluation needs precomputed per knot interval.
+/// A validated knot vector with precomputed numbers of each knot interval for evaluation.
 ///
 /// With degree `p` and `n` control points it has `n + p + 1` knots `t`; its domain is `[t_p, t_n]`. It may be clamped
 /// (end knots repeated `p + 1` times) or not.
@@ -227,7 +227,7 @@ impl KnotVector {
             .collect()
     }
 
-    /// How often `value` occurs among the knots.
+    /// The multiplicity of `value` among the knots.
     pub fn multiplicity(&self, value: f64) -> usize {
         self.knots.iter().filter(|&&t| t == value).count()
     }

@@ -5,7 +5,20 @@
 //! curves and surfaces are homogeneous, `[w x, w y, w z, w]`; a surface's are stored with the `v` index running
 //! fastest. Evaluation lives on the stack and allocates nothing.
 //!
-//! Absent on purpose: fitting, file formats, trimming, anything that knows what an aircraft is.
+//! ```
+//! use moldline_spline::{KnotVector, Surface};
+//!
+//! // A bilinear patch over the unit square with one corner raised to z = 1.
+//! let linear = KnotVector::clamped_uniform(1, 2)?;
+//! let surface = Surface::new(linear.clone(), linear);
+//! let corners = [[0.0, 0.0, 0.0, 1.0], [0.0, 1.0, 0.0, 1.0], [1.0, 0.0, 0.0, 1.0], [1.0, 1.0, 1.0, 1.0]];
+//! // z = u v, with its derivatives.
+//! let s = surface.jet(&corners, 0.5, 0.25);
+//! assert_eq!((s.position.z, s.d_u.z, s.d_v.z, s.d_uv.z), (0.125, 0.25, 0.5, 1.0));
+//! # Ok::<(), moldline_spline::KnotError>(())
+//! ```
+//!
+//! Absent on purpose: fitting, file formats, trimming, anything specific to aircraft.
 
 mod basis;
 mod curve;

@@ -1,4 +1,4 @@
-//! From homogeneous sums to points and derivatives: the quotient rule, or nothing at all where all weights are 1.
+//! Points and derivatives from homogeneous sums: by the quotient rule, or directly where all weights are 1.
 
 use crate::Vector3;
 

@@ -11,7 +11,7 @@ use crate::{KnotVector, MAX_DEGREE};
 pub struct LinearRow {
     /// First old control point.
     pub first: usize,
-    /// How many weights count: degree + 1.
+    /// Number of weights: degree + 1.
     pub count: usize,
     /// The weights; they add up to 1.
     pub weights: [f64; MAX_DEGREE + 1],
@@ -27,13 +27,13 @@ impl KnotVector {
         assert_eq!(arguments.len(), p, "a blossom has as many arguments as the degree");
         let s = self.span_of_interval(interval);
         let t = self.knots();
-        // At the knots of a control point of this piece the blossom is that control point: say so exactly.
+        // At the knots of a control point of this piece the blossom is that control point, exactly.
         if let Some(r) = (0..=p).find(|&r| t[s - p + r + 1..=s + r] == *arguments) {
             let mut weights = [0.0; MAX_DEGREE + 1];
             weights[r] = 1.0;
             return LinearRow { first: s - p, count: p + 1, weights };
         }
-        // The recurrence of the basis with a different parameter at each level.
+        // The recurrence of the basis, with another parameter at each level.
         let mut n = [0.0; MAX_DEGREE + 1];
         n[0] = 1.0;
         for j in 1..=p {
@@ -62,8 +62,8 @@ impl KnotVector {
             .collect()
     }
 
-    /// The control points over `finer`, whose domain lies in this one's and which has all knots of this one that lie
-    /// inside its domain, with at least their multiplicity: same spline, other control points.
+    /// Knot insertion: the control points of the same spline over `finer`, whose domain lies in this one's, and which has
+    /// all knots of this one inside its domain with at least their multiplicity.
     pub fn refinement(&self, finer: &KnotVector) -> Vec<LinearRow> {
         let p = self.degree();
         debug_assert_eq!(p, finer.degree());

@@ -6,7 +6,7 @@ use nalgebra::Matrix3;
 /// Why a point has no coordinates in a volume.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum LocateError {
-    /// The point is outside: the nearest parameters found, and how far away they are.
+    /// The point is outside the volume.
     #[error("the point is outside the volume, {distance} away from it at coordinates {nearest:?}")]
     Outside {
         /// Parameters of the nearest point found.
@@ -91,10 +91,10 @@ impl Volume {
     }
 
     /// The inverse map: `xi` with `F(xi) = point`, by damped Newton from the nearest of a grid of samples (two per
-    /// interval and direction), to rounding of the lattice's size.
+    /// interval and direction), to the rounding of numbers of the lattice's size.
     ///
     /// # Errors
-    /// [`LocateError::Outside`] if the nearest point of the volume is further than 1e-9 of the lattice's size away.
+    /// [`LocateError::Outside`] if the nearest point of the volume is farther away than 1e-9 of the lattice's size.
     pub fn locate(&self, lattice: &[[f64; 3]], point: &Vector3) -> Result<[f64; 3], LocateError> {
         let mut low = Vector3::repeat(f64::INFINITY);
         let mut high = -low;
@@ -143,7 +143,7 @@ impl Volume {
             if distance <= 1e-16 * size {
                 break;
             }
-            // Directions that would leave the domain are held: the others are solved in the least-squares sense.
+            // Directions that would leave the domain are fixed; the others are solved for in the least-squares sense.
             let residual = point - position;
             let full = jacobian.lu().solve(&residual);
             let mut step = full.unwrap_or_else(|| jacobian.transpose() * residual / jacobian.norm_squared());

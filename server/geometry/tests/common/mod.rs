@@ -5,31 +5,7 @@ use moldline_geometry::{Body, Component, ComponentOptions, Location, PatchInput,
 use moldline_spline::KnotVector;
 use std::sync::Arc;
 
-/// A small deterministic generator (splitmix64).
-pub struct Random(pub u64);
-
-impl Random {
-    pub fn unit(&mut self) -> f64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
-    }
-
-    pub fn between(&mut self, a: f64, b: f64) -> f64 {
-        a + (b - a) * self.unit()
-    }
-
-    pub fn vector(&mut self, scale: f64) -> Vector3 {
-        Vector3::new(self.between(-1.0, 1.0), self.between(-1.0, 1.0), self.between(-1.0, 1.0)) * scale
-    }
-
-    /// Lengths spread evenly over orders of magnitude.
-    pub fn logarithmic(&mut self, low: f64, high: f64) -> f64 {
-        (self.between(low.ln(), high.ln())).exp()
-    }
-}
+pub use moldline_testing::Random;
 
 pub fn cubic(n: usize) -> KnotVector {
     KnotVector::clamped_uniform(3, n).expect("valid")

@@ -1,10 +1,10 @@
-//! Words, lines and binary numbers one after another.
+//! A cursor over bytes that reads words, lines and binary numbers.
 
 use std::str::FromStr;
 
 use super::{Place, ReadError};
 
-/// How numbers are stored.
+/// Coding of numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Coding {
     Ascii,
@@ -15,7 +15,7 @@ pub(super) enum Coding {
 pub(super) struct Cursor<'a> {
     pub(super) bytes: &'a [u8],
     pub(super) position: usize,
-    /// Of the numbers read by `int`, `size` and `real`.
+    /// Coding of the numbers read by `int`, `size` and `real`.
     pub(super) coding: Coding,
 }
 
@@ -28,12 +28,12 @@ impl<'a> Cursor<'a> {
         &self.bytes[self.position..]
     }
 
-    /// Where the next byte or word is. Counts lines from the start: for errors only.
+    /// The position of the next byte or word. Counts lines from the start: for errors only.
     pub(super) fn place(&self) -> Place {
         self.place_of(self.position)
     }
 
-    /// Where the byte, or the word, from `position` on is. Counts lines from the start: for errors only.
+    /// The position of the byte or word at or after `position`. Counts lines from the start: for errors only.
     pub(super) fn place_of(&self, position: usize) -> Place {
         match self.coding {
             Coding::Ascii => {
@@ -54,7 +54,7 @@ impl<'a> Cursor<'a> {
         self.position += space;
     }
 
-    /// The next word, between white space.
+    /// The next word, delimited by white space.
     pub(super) fn word(&mut self, expected: &str) -> Result<&'a [u8], ReadError> {
         self.skip_space();
         let length = self.rest().iter().take_while(|byte| !byte.is_ascii_whitespace()).count();

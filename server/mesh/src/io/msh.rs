@@ -58,7 +58,7 @@ struct Reader<'a> {
     cursor: Cursor<'a>,
     limits: &'a Limits,
     version: Version,
-    /// Of the numbers inside sections that may be binary.
+    /// Coding of the numbers inside sections that may be binary.
     coding: Coding,
     names: HashMap<(i32, i32), String>,
     /// Physical tags of each entity, by dimension and tag.
@@ -402,7 +402,7 @@ impl<'a> Reader<'a> {
                 let index = self.add_cell(nodes)?;
                 return self.add_members(2, physicals, &[index]);
             }
-            // Curved lines name groups no less than straight ones, but belong to curved surfaces, which are refused.
+            // Curved lines could name groups as straight ones do, but belong to curved surfaces, which are rejected.
             8 | 26..=28 => return Ok(()),
             _ => {
                 self.draft.ignored_cells += 1;
@@ -433,7 +433,7 @@ impl<'a> Reader<'a> {
 
     fn add_members(&mut self, dimension: i32, physicals: &[i32], members: &[u32]) -> Result<(), ReadError> {
         for physical in physicals {
-            // A negative tag only says that the entity is run through backwards.
+            // A negative tag means only that the entity's orientation is reversed.
             let key = (dimension, physical.saturating_abs());
             if self.members.len() >= 2 * self.limits.groups && !self.members.contains_key(&key) {
                 let limit = 2 * self.limits.groups as u64;
@@ -484,7 +484,7 @@ pub fn write(mesh: &SurfaceMesh, version: Version) -> Vec<u8> {
     out.into_bytes()
 }
 
-/// How groups become physical groups and entities.
+/// The map from groups to physical groups and entities.
 struct Layout {
     /// Groups of each cell.
     cell_groups: Csr,

@@ -5,8 +5,8 @@ use std::collections::HashMap;
 use super::{Draft, Imported, Place, ReadError, add_to_group, cursor::Cursor};
 use crate::{Cell, Limits, grid::HashGrid};
 
-/// Reads ASCII or binary STL and merges vertices: equal ones, and those within `tolerance` (m, 0 for equal only) of one
-/// that came before. Triangles that collapse are left out and counted. Named solids of an ASCII file become cell groups.
+/// Reads ASCII or binary STL and merges vertices: equal ones, and those within `tolerance` (m, 0 for equal only) of an earlier
+/// one. Triangles that collapse are left out and counted. Named solids of an ASCII file become cell groups.
 ///
 /// # Errors
 /// [`ReadError`], with a line or byte offset.
@@ -78,7 +78,7 @@ fn read_ascii(bytes: &[u8], merger: &mut Merger<'_>) -> Result<(), ReadError> {
             }
             expect(&mut cursor, "normal")?;
             for _ in 0..3 {
-                // Some writers leave `nan` here; the cells' orientation counts, not the normals.
+                // Some writers put `nan` here; orientation comes from the order of the corners, not from the normals.
                 cursor.word("a normal")?;
             }
             expect(&mut cursor, "outer")?;

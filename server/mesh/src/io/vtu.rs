@@ -12,13 +12,13 @@ use self::{
 use super::{Draft, Imported, Place, ReadError, add_to_group};
 use crate::{Cell, Group, Limits, SurfaceMesh};
 
-/// Names of the arrays that hold groups begin with this.
+/// Prefix of the names of arrays that hold groups.
 const GROUP: &str = "group:";
 
 /// A data array to write beside the mesh.
 #[derive(Clone, Copy, Debug)]
 pub struct Array<'a> {
-    /// Name as shown in ParaView.
+    /// Name, as shown in ParaView.
     pub name: &'a str,
     /// Numbers per point or cell.
     pub components: usize,
@@ -54,7 +54,7 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<Imported, ReadError> {
     draft.finish(limits)
 }
 
-/// Where the arrays of a piece are.
+/// The arrays of a piece.
 #[derive(Default)]
 struct Piece<'a> {
     place: usize,
@@ -68,7 +68,7 @@ struct Piece<'a> {
     cell_groups: Vec<(String, ArrayTag<'a>)>,
 }
 
-/// Notes where everything is, without decoding it.
+/// Locates all arrays without decoding them.
 fn scan(bytes: &[u8]) -> Result<(File<'_>, Vec<Piece<'_>>), ReadError> {
     let mut scanner = Scanner::new(bytes);
     let mut file = None;
@@ -94,7 +94,7 @@ fn scan(bytes: &[u8]) -> Result<(File<'_>, Vec<Piece<'_>>), ReadError> {
             "AppendedData" => {
                 let file = file.as_mut().ok_or(ReadError::Missing { what: "VTKFile" })?;
                 file.note_appended(&tag)?;
-                // What follows may be raw bytes.
+                // Raw bytes may follow.
                 break;
             }
             _ => {}
@@ -170,7 +170,7 @@ fn read_piece(
         }
         last = offset;
     }
-    // Each cell that is kept has at most four vertices; others may have more, but no more than the file can hold.
+    // Each cell kept has at most four vertices; others may have more, but no more than the file can hold.
     let limit = (file.bytes.len() * data::MOST_PER_BYTE) as u64;
     if last as u64 > limit {
         let count = last as u64;
@@ -186,7 +186,7 @@ fn read_piece(
         }
     };
 
-    // The number each cell of the file gets, if it is kept.
+    // The new number of each cell of the file, if it is kept.
     let mut numbers: Vec<Option<u32>> = Vec::with_capacity(cells);
     let mut start = 0;
     for (&kind, &end) in types.iter().zip(&offsets) {

@@ -1,12 +1,12 @@
-//! Checks of derivatives as wire messages.
+//! Checks of derivatives.
 
 use moldline_proto::v1;
 use moldline_service::{CheckAt, CheckReport, CheckRequest, Product, Progress, ServiceError};
 use v1::{check_request::At, check_response::Event, design_point::Input};
 
-use super::{design_point, numbers, timings};
+use super::{arrays::numbers, sessions::design_point, status::timings};
 
-/// The set-up, and what is to be checked.
+/// The id of the set-up, and the check.
 pub fn request(request: v1::CheckRequest) -> Result<(String, CheckRequest), ServiceError> {
     let v1::CheckRequest { setup_id, at, seed, variables } = request;
     let values = |input| {
@@ -23,7 +23,7 @@ pub fn request(request: v1::CheckRequest) -> Result<(String, CheckRequest), Serv
 }
 
 pub fn progress(progress: Progress) -> v1::CheckResponse {
-    v1::CheckResponse { event: Some(Event::Progress(super::progress(progress))) }
+    v1::CheckResponse { event: Some(Event::Progress(super::status::progress(progress))) }
 }
 
 pub fn report(Product { value: report, timing }: &Product<CheckReport>) -> v1::CheckResponse {

@@ -1,4 +1,4 @@
-//! What requests say in arrays, as messages of the protocol.
+//! Requests whose bodies are arrays, as messages of the protocol.
 //!
 //! | call | main array | further arrays of a .npz file |
 //! |---|---|---|
@@ -7,12 +7,12 @@
 //! | ApplyAdjoint | `vertices` (k, m, 3) | `functions` (k, f), `at.design`, `at.control_points.COMPONENT` |
 //! | Jacobian | `at.design` (n) | `at.control_points.COMPONENT` |
 //!
-//! A single vector may come without its first dimension.
+//! A single vector may omit its first dimension.
 
 use moldline_proto::v1::{self, Array, deform_request, design_point};
 use moldline_service::ServiceError;
 
-/// Arrays by name, each of which has to be used.
+/// Arrays by name. All must be used.
 pub struct Arrays(Vec<(String, Array)>);
 
 impl Arrays {
@@ -20,13 +20,13 @@ impl Arrays {
         Self(arrays)
     }
 
-    /// The one of that name.
+    /// Takes the array of this name.
     pub fn take(&mut self, name: &str) -> Option<Array> {
         let index = self.0.iter().position(|(known, _)| known == name)?;
         Some(self.0.swap_remove(index).1)
     }
 
-    /// All whose names begin so, by the rest of their names, in order.
+    /// Takes all arrays whose names begin with `prefix`, by the rest of their names, in order.
     pub fn take_all(&mut self, prefix: &str) -> Vec<(String, Array)> {
         let mut found = Vec::new();
         for (name, array) in std::mem::take(&mut self.0) {
@@ -39,8 +39,10 @@ impl Arrays {
         found
     }
 
+    /// Checks that no array is left.
+    ///
     /// # Errors
-    /// `InvalidArgument` for an array of another name.
+    /// `InvalidArgument` for an array of an unknown name.
     pub fn end(self) -> Result<(), ServiceError> {
         match self.0.first() {
             None => Ok(()),
@@ -56,7 +58,7 @@ impl Arrays {
         self.take_all(prefix).into_iter().map(message).collect()
     }
 
-    /// The id, and the design if it came too.
+    /// The point of a derivative: the id, and the design if it was sent.
     fn at(&mut self, linearisation_id: Option<String>) -> v1::LinearisationPoint {
         let design = self.take("at.design");
         let control_points = self.control_points("at.control_points.");
@@ -101,7 +103,6 @@ impl Arrays {
         let vertices = self.take("vertices").map(point_block);
         let functions = self.take("functions").map(block);
         self.end()?;
-        let include_design = include_design || control_points_of.is_empty();
         Ok(v1::ApplyAdjointRequest { session_id, at, vertices, functions, include_design, control_points_of })
     }
 
@@ -165,7 +166,7 @@ mod tests {
 
         let vjp = |shape| {
             let request = named(&[("vertices", shape)]).vjp("s".to_owned(), None, false, Vec::new()).unwrap();
-            assert!(request.include_design && request.at.unwrap().design_point.is_none());
+            assert!(request.at.unwrap().design_point.is_none());
             request.vertices.unwrap().shape
         };
         assert_eq!(vjp(&[12]), [1, 4, 3]);

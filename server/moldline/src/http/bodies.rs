@@ -1,4 +1,4 @@
-//! Bodies of requests, as documents or as arrays.
+//! Bodies of requests: documents or arrays.
 
 use axum::{
     body::{Body, Bytes},
@@ -14,26 +14,26 @@ use super::arrays::Arrays;
 
 /// A body with numbers.
 pub enum Sent<T> {
-    /// JSON.
+    /// A JSON document.
     Document(T),
-    /// Anything else.
+    /// Arrays of any other type.
     Arrays(Arrays),
 }
 
 /// Reads bodies.
 #[derive(Clone, Copy, Debug)]
 pub struct Bodies {
-    /// Most bytes.
+    /// Largest length of a body, bytes.
     pub most: usize,
 }
 
 impl Bodies {
-    /// Bytes of a body: numbers take several times as much memory as they have letters in JSON.
+    /// Largest length of a body of this type. JSON has a smaller one, since its numbers take several times their text in memory.
     fn limit(self, media: Media) -> usize {
         if media == Media::Json { self.most / 4 } else { self.most }
     }
 
-    /// A body that has to be JSON.
+    /// Reads a body that must be JSON.
     pub async fn document<T: DeserializeOwned>(self, headers: &HeaderMap, body: Body) -> Answer<T> {
         match Media::sent(headers)? {
             Media::Json => media::json(&media::read(headers, body, self.limit(Media::Json)).await?),
@@ -41,7 +41,7 @@ impl Bodies {
         }
     }
 
-    /// A body with numbers; `main` is the name of the array that comes alone.
+    /// Reads a document or arrays; `main` names an array that is sent alone, and `shape` has its extents.
     pub async fn numbers<T: DeserializeOwned>(
         self,
         headers: &HeaderMap,

@@ -1,51 +1,46 @@
-//! Long work as server-sent events: `progress` as it goes on, and its result or a `problem` at the end.
+//! Long work as server-sent events: `progress` while it runs, and its result or a `problem` at the end.
 
-use std::pin::Pin;
+use std::{convert::Infallible, pin::Pin, time::Duration};
 
 use axum::{
-    body::{Body, Bytes},
-    http::{HeaderValue, header},
-    response::Response,
+    http::header,
+    response::{
+        IntoResponse, Response,
+        sse::{Event, KeepAlive, Sse},
+    },
 };
 use moldline_proto::v1;
-use moldline_transport::{Answer, Deadline, Refusal, media::Media};
+use moldline_transport::{Answer, Deadline, Refusal};
 use serde::Serialize;
-use tokio::{
-    sync::mpsc,
-    time::{Duration, sleep},
-};
+use tokio::sync::mpsc;
 use tokio_stream::{StreamExt, wrappers::UnboundedReceiverStream};
 use tracing::{Instrument, Span};
 
-/// Tells about progress.
+/// Reports progress.
 pub type Tell = Box<dyn FnMut(v1::Progress) + Send>;
 
-/// What goes on.
+/// Work that runs while its events are sent.
 pub type Work<T> = Pin<Box<dyn Future<Output = Answer<T>> + Send>>;
 
-/// The answer that tells of `work`, whose result is an event named `done`.
+/// Interval of comments that keep proxies from closing a silent connection.
+const SILENCE: Duration = Duration::from_secs(15);
+
+/// Streams the events of `work`. The event of its result is named `done`.
 pub fn stream<T: Serialize + Send + 'static>(
     done: &'static str,
     deadline: Deadline,
     work: impl FnOnce(Tell) -> Work<T>,
 ) -> Response {
-    /// Between words that keep proxies from closing a silent connection.
-    const SILENCE: Duration = Duration::from_secs(15);
     let (sender, events) = mpsc::unbounded_channel();
     let teller = sender.clone();
     let work = work(Box::new(move |progress| {
         let _ = teller.send(event("progress", &progress));
     }));
     let work = async move {
-        let work = deadline.limit(work, Refusal::from);
-        tokio::pin!(work);
-        let outcome = loop {
-            tokio::select! {
-                outcome = &mut work => break outcome,
-                // The client has gone: the interest in the work goes with this future.
-                () = sender.closed() => return,
-                () = sleep(SILENCE) => { let _ = sender.send(Bytes::from_static(b":\n\n")); }
-            }
+        let outcome = tokio::select! {
+            outcome = deadline.limit(work, Refusal::from) => outcome,
+            // The client has left: dropping this future cancels the work.
+            () = sender.closed() => return,
         };
         let _ = sender.send(match outcome {
             Ok(result) => event(done, &result),
@@ -53,15 +48,11 @@ pub fn stream<T: Serialize + Send + 'static>(
         });
     };
     tokio::spawn(work.instrument(Span::current()));
-    let frames = UnboundedReceiverStream::new(events).map(Ok::<_, std::convert::Infallible>);
-    let mut response = Response::new(Body::from_stream(frames));
-    let headers = response.headers_mut();
-    headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(Media::Events.name()));
-    headers.insert(header::CACHE_CONTROL, HeaderValue::from_static("no-store"));
-    response
+    let events = UnboundedReceiverStream::new(events).map(Ok::<_, Infallible>);
+    let events = Sse::new(events).keep_alive(KeepAlive::new().interval(SILENCE));
+    ([(header::CACHE_CONTROL, "no-store")], events).into_response()
 }
 
-fn event(name: &str, content: &impl Serialize) -> Bytes {
-    let content = serde_json::to_string(content).unwrap_or_default();
-    format!("event: {name}\ndata: {content}\n\n").into()
+fn event(name: &str, content: &impl Serialize) -> Event {
+    Event::default().event(name).json_data(content).unwrap_or_default()
 }

@@ -1,4 +1,4 @@
-//! The whole Jacobian over HTTP: streamed as one array, or collected where it has to be a document or several arrays.
+//! The whole Jacobian over HTTP: streamed as one array, or collected into a document or several arrays.
 
 use axum::{
     body::{Body, Bytes},
@@ -9,7 +9,7 @@ use axum::{
 use moldline_proto::v1::{self, Array, DataType};
 use moldline_service::{Code, ServiceError};
 use moldline_transport::{
-    Answer, Caller, Deadline, Id, Problem, Query,
+    Answer, Caller, Deadline, Id, Query,
     media::{self, ARRAYS, Media},
     npy,
 };
@@ -19,14 +19,14 @@ use tokio_stream::{StreamExt, wrappers::ReceiverStream};
 use super::{
     Http,
     bodies::Sent,
-    documents,
     replies::{Reply, server_timing},
+    responses::Errors,
     sessions::AtQuery,
 };
 
 type Block = Result<v1::JacobianResponse, ServiceError>;
 
-/// The derivative of all outputs by all design variables
+/// The derivative of all outputs with respect to all design variables
 ///
 /// The main array has one block of vertices for each variable and is streamed as it is computed. Documents and .npz files
 /// have the functions too, and are for smaller ones.
@@ -34,7 +34,7 @@ type Block = Result<v1::JacobianResponse, ServiceError>;
     post, path = "/v1/sessions/{session_id}/jacobian", operation_id = "Jacobian", tag = "sessions",
     params(("session_id" = String, Path), AtQuery),
     request_body(content(
-        (documents::Jacobian = "application/json"), (media::Binary = "application/x-npy"),
+        (v1::JacobianRequest = "application/json"), (media::Binary = "application/x-npy"),
         (media::Binary = "application/x-npz"), (media::Binary = "application/octet-stream"),
     ), description = "Arrays: `at.design`, `at.control_points.COMPONENT`."),
     responses(
@@ -42,25 +42,25 @@ type Block = Result<v1::JacobianResponse, ServiceError>;
             (v1::JacobianResponse = "application/json"), (media::Binary = "application/x-npy"),
             (media::Binary = "application/x-npz"), (media::Binary = "application/octet-stream"),
         )),
-        (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
+        Errors,
     )
 )]
 pub async fn jacobian(
     State(http): State<Http>,
     Caller(caller): Caller,
     axum::Extension(deadline): axum::Extension<Deadline>,
-    Id(id): Id,
+    Id(session_id): Id,
     Query(query): Query<AtQuery>,
     headers: HeaderMap,
     body: Body,
 ) -> Answer<Response> {
     let media = Media::accepted(&headers, &ARRAYS)?;
     let request = match http.bodies.numbers(&headers, body, "at.design", query.shape.as_deref()).await? {
-        Sent::Document(document) => documents::Jacobian::message(document, id),
-        Sent::Arrays(arrays) => arrays.jacobian(id, query.linearisation_id)?,
+        Sent::Document(document) => v1::JacobianRequest { session_id, ..document },
+        Sent::Arrays(arrays) => arrays.jacobian(session_id, query.linearisation_id)?,
     };
     let limit = http.bodies.most;
-    let mut blocks = http.meshes.jacobian(caller, deadline, request);
+    let mut blocks = http.api.jacobian(caller, deadline, request);
     let first = blocks.recv().await.unwrap_or_else(|| Err(cut_off()))?;
     match media {
         Media::Npy | Media::Octets => stream(media, first, blocks),
@@ -72,7 +72,7 @@ fn cut_off() -> ServiceError {
     ServiceError::new(Code::Internal, "the columns ended before they began")
 }
 
-/// The vertices' part of all columns.
+/// Streams the vertices' part of all columns.
 fn stream(media: Media, first: v1::JacobianResponse, blocks: mpsc::Receiver<Block>) -> Answer<Response> {
     let shape = match first.vertices.as_ref().map(|vertices| &vertices.shape[..]) {
         Some(&[_, vertices, axes]) => [u64::from(first.columns), vertices, axes],
@@ -81,7 +81,7 @@ fn stream(media: Media, first: v1::JacobianResponse, blocks: mpsc::Receiver<Bloc
     let head = if media == Media::Npy { npy::header(DataType::Float64, &shape) } else { Vec::new() };
     let length = 8 * shape.iter().product::<u64>() + head.len() as u64;
     let timing = server_timing(first.timings);
-    // An error in the middle cuts the body off, which the client sees by its length.
+    // A later error cuts the body off, which the client notices by its length.
     let blocks = tokio_stream::once(Ok(first)).chain(ReceiverStream::new(blocks));
     let data = blocks.map(|block| block.map(|block| block.vertices.unwrap_or_default().data));
     let frames = tokio_stream::once(Ok(Bytes::from(head))).chain(data);
@@ -95,7 +95,7 @@ fn stream(media: Media, first: v1::JacobianResponse, blocks: mpsc::Receiver<Bloc
     Ok(response)
 }
 
-/// All columns in one.
+/// Collects all columns in one message.
 async fn collect(
     first: v1::JacobianResponse,
     mut blocks: mpsc::Receiver<Block>,
@@ -107,7 +107,7 @@ async fn collect(
         bytes(&first.vertices) / first.vertices.as_ref().map_or(1, |array| array.shape[0].max(1) as usize);
     if each.saturating_mul(columns as usize) > limit {
         let description = format!(
-            "{columns} columns of {each} bytes are more than the limit of {limit} bytes; ask for application/x-npy, which \
+            "{columns} columns of {each} bytes are more than the limit of {limit} bytes; accept application/x-npy, which \
              is streamed"
         );
         return Err(ServiceError::invalid("accept", description).into());

@@ -1,18 +1,16 @@
-//! The HTTP transport: every RPC as a route. What it does is in `mesh`, how bodies look in `documents`, `arrays` and
-//! `replies`.
+//! The HTTP transport of the mesh service: a route for every RPC of [`MeshApi`]. Bodies are read in `bodies` and `arrays`,
+//! and written in `replies`.
 
 pub mod arrays;
 pub mod bodies;
 mod check;
-mod documents;
 pub mod events;
 mod jacobian;
 mod operations;
 pub mod replies;
+pub mod responses;
 mod sessions;
 mod setups;
-#[cfg(test)]
-pub mod tests;
 
 use std::sync::Arc;
 
@@ -20,28 +18,28 @@ use moldline_transport::Problem;
 use utoipa::OpenApi;
 use utoipa_axum::{router::OpenApiRouter, routes};
 
-use crate::mesh::Meshes;
+use crate::api::MeshApi;
 use bodies::Bodies;
 use operations::Operations;
 
-/// What the handlers share.
+/// The state of all handlers.
 #[derive(Clone)]
 pub struct Http {
-    meshes: Meshes,
+    api: MeshApi,
     operations: Arc<Operations>,
-    /// Those that are no uploads.
+    /// Reads bodies other than uploads.
     bodies: Bodies,
 }
 
-/// A name that a client chose for a change, so that a retry is recognised.
+/// The request id that a client chose for a change, so that a retry is recognised.
 fn idempotency_key(headers: &axum::http::HeaderMap) -> String {
     let key = headers.get("idempotency-key").and_then(|key| key.to_str().ok());
     key.unwrap_or_default().to_owned()
 }
 
-/// All routes, with their description.
-pub fn routes(meshes: Meshes, max_body: usize) -> OpenApiRouter {
-    let http = Http { meshes, operations: Arc::default(), bodies: Bodies { most: max_body } };
+/// All routes, with their description. Bodies may have `max_body` bytes.
+pub fn routes(api: MeshApi, max_body: usize) -> OpenApiRouter {
+    let http = Http { api, operations: Arc::default(), bodies: Bodies { most: max_body } };
     OpenApiRouter::with_openapi(Description::openapi())
         .routes(routes!(setups::create_setup, setups::list_setups))
         .routes(routes!(setups::get_setup, setups::delete_setup))
@@ -59,7 +57,7 @@ pub fn routes(meshes: Meshes, max_body: usize) -> OpenApiRouter {
         .with_state(http)
 }
 
-/// What is said once for all routes.
+/// The part of the description that all routes share.
 #[derive(OpenApi)]
 #[openapi(
     info(title = "Moldline", description = include_str!("description.md"), license(name = "Apache-2.0", identifier = "Apache-2.0")),
@@ -68,12 +66,12 @@ pub fn routes(meshes: Meshes, max_body: usize) -> OpenApiRouter {
     tags(
         (name = "set-ups", description = "Geometry, mesh, parameterisation and options: immutable, named by their content."),
         (name = "sessions", description = "Work on a set-up: a design that is stored, deformations, derivatives."),
-        (name = "server", description = "What the server does and holds."),
+        (name = "server", description = "Load and contents of the server."),
     )
 )]
 struct Description;
 
-/// Bearer tokens, which a server asks for or not.
+/// Describes bearer tokens, which a server may require.
 pub struct Bearer;
 
 impl utoipa::Modify for Bearer {

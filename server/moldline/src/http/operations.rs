@@ -1,5 +1,5 @@
-//! Set-ups that are built while their client does something else: operations to poll. They live as long as the process;
-//! what they have built is stored, and posting the same content again finds it.
+//! Long-running operations: set-ups that are built while their clients poll. Operations end with the process; the set-ups are
+//! stored, and posting the same content again finds them.
 
 use std::{
     sync::{Mutex, MutexGuard, PoisonError},
@@ -23,28 +23,29 @@ use uuid::Uuid;
 use super::{
     Http,
     events::{Tell, Work},
+    responses::Errors,
 };
 
-/// A set-up that is being built, or what became of it.
+/// The build of a set-up, or its outcome.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct Operation {
-    /// Names it, in `/v1/operations/`.
+    /// Id of the operation, as in `/v1/operations/{operation_id}`.
     operation_id: String,
-    /// Whether it is over; then there is `created` or `problem`.
+    /// Whether the operation has ended; then it has `created` or `problem`.
     done: bool,
-    /// What was told last.
+    /// The last progress.
     progress: v1::Progress,
-    /// What was made.
+    /// The set-up.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false)]
     created: Option<v1::CreatedSetup>,
-    /// Why nothing was made.
+    /// The error.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false)]
     problem: Option<Problem>,
 }
 
-/// Operations that run, and those that ended not long ago.
+/// Operations that run or ended recently.
 #[derive(Debug, Default)]
 pub struct Operations(Mutex<Vec<Entry>>);
 
@@ -73,10 +74,10 @@ impl Operations {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Runs `work` apart from the request, and answers when it has received all that the client sends, or failed before.
+    /// Runs `work` in a task of its own, and answers when it has received the whole body, or has failed.
     ///
     /// # Errors
-    /// `ResourceExhausted` if there are too many.
+    /// `ResourceExhausted` if too many operations run.
     pub async fn start(
         &self,
         caller: &Principal,
@@ -96,7 +97,7 @@ impl Operations {
             let task = tokio::spawn(run.instrument(Span::current())).abort_handle();
             all.push(Entry { id: id.clone(), tenant: caller.tenant.clone(), course: course.clone(), task });
         }
-        // Who goes away while it sends has sent nothing.
+        // A client that leaves while it sends abandons the operation.
         let mut pending = Pending { operations: self, id: Some(&id) };
         let received = |course: &Course| {
             course.outcome.is_some() || !matches!(course.progress.stage.as_str(), "" | "receive")
@@ -111,7 +112,7 @@ impl Operations {
     }
 }
 
-/// Gives up an operation whose client has gone before it was answered.
+/// Cancels an operation whose client leaves before the answer.
 struct Pending<'a> {
     operations: &'a Operations,
     id: Option<&'a str>,
@@ -126,7 +127,7 @@ impl Drop for Pending<'_> {
 }
 
 impl Operations {
-    /// Forgets the operation, and ends it if it runs.
+    /// Removes an operation, and cancels it if it runs.
     fn remove(&self, which: impl Fn(&Entry) -> bool) -> bool {
         let mut all = self.lock();
         let Some(index) = all.iter().position(which) else { return false };
@@ -136,20 +137,20 @@ impl Operations {
     }
 }
 
-/// Forgets what ended long ago, or if there is no room, what ended first.
+/// Removes operations that ended long ago, and if all places are taken, the one that ended first.
 fn make_room(all: &mut Vec<Entry>) -> Answer<()> {
-    const MOST: usize = 256;
+    const LIMIT: usize = 256;
     const KEPT: Duration = Duration::from_secs(3600);
     let ended = |entry: &Entry| entry.course.borrow().outcome.as_ref().map(|outcome| outcome.when);
     all.retain(|entry| ended(entry).is_none_or(|when| when.elapsed() < KEPT));
-    if all.len() < MOST {
+    if all.len() < LIMIT {
         return Ok(());
     }
     let first = (0..all.len()).filter_map(|index| Some((ended(&all[index])?, index))).min();
     let Some((_, index)) = first else {
         let error = ServiceError::new(
             Code::ResourceExhausted,
-            format!("{MOST} operations are under way, which is the limit; try again later"),
+            format!("{LIMIT} operations are running, which is the limit; try again later"),
         );
         return Err(error.retry_after(Duration::from_secs(1)).into());
     };
@@ -168,13 +169,13 @@ fn describe(id: &str, course: &Course) -> Operation {
     }
 }
 
-/// How far a set-up has come
+/// Progress of a set-up's build
 #[utoipa::path(
     get, path = "/v1/operations/{operation_id}", operation_id = "GetOperation", tag = "set-ups",
     params(("operation_id" = String, Path)),
     responses(
-        (status = 200, description = "What it does, or what became of it.", body = Operation),
-        (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
+        (status = 200, description = "Progress or outcome.", body = Operation),
+        Errors,
     )
 )]
 pub async fn get_operation(State(http): State<Http>, Caller(caller): Caller, Id(id): Id) -> Answer<Response> {
@@ -184,13 +185,13 @@ pub async fn get_operation(State(http): State<Http>, Caller(caller): Caller, Id(
     media::document(StatusCode::OK, &describe(&id, &entry.course.borrow()))
 }
 
-/// Gives up a set-up that is being built
+/// Cancels the build of a set-up
 #[utoipa::path(
     delete, path = "/v1/operations/{operation_id}", operation_id = "CancelOperation", tag = "set-ups",
     params(("operation_id" = String, Path)),
     responses(
-        (status = 204, description = "It is forgotten, and ended if nobody else waits for it."),
-        (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
+        (status = 204, description = "The operation is removed. Its build is cancelled unless other requests wait for it."),
+        Errors,
     )
 )]
 pub async fn cancel_operation(

@@ -1,4 +1,4 @@
-//! Which arrays answers have, and what travels beside them in headers.
+//! Answers with arrays: the names of the arrays, and the headers of binary answers.
 
 use axum::response::Response;
 use moldline_proto::v1::{self, Array, design_point};
@@ -10,22 +10,23 @@ use serde::Serialize;
 
 /// An answer with arrays.
 pub trait Reply: Serialize + Sized {
-    /// Takes the arrays out of it, each with its name; the main one is the first.
+    /// Takes the arrays out of the answer, each with its name, the main array first.
     fn take_arrays(&mut self) -> Vec<(String, Array)>;
 
-    /// What belongs into headers where only the main array travels.
+    /// Headers of an answer that consists of the main array only.
     fn headers(&self) -> Vec<(&'static str, String)>;
 
-    /// As the client wants it.
+    /// Responds with the type that the client accepts.
     fn respond(self, media: Media) -> Answer<Response> {
         let headers = self.headers();
         media::reply(media, self, Self::take_arrays, &headers)
     }
 }
 
-/// Names an answer's linearisation.
+/// The header with the id of an answer's linearisation.
 const LINEARISATION_ID: &str = "moldline-linearisation-id";
 
+/// An array with its name, if there is one.
 pub fn named(name: &str, array: Option<Array>) -> Option<(String, Array)> {
     array.map(|array| (name.to_owned(), array))
 }
@@ -36,7 +37,7 @@ fn of_components(control_points: Vec<v1::ControlPoints>) -> impl Iterator<Item =
     })
 }
 
-/// Where the time went, as browsers show it too.
+/// The header with queue and engine times, which browsers show.
 pub fn server_timing(timings: Option<v1::Timings>) -> Option<(&'static str, String)> {
     let v1::Timings { queue_seconds, engine_seconds } = timings?;
     let (queue, engine) = (1e3 * queue_seconds, 1e3 * engine_seconds);
@@ -117,8 +118,8 @@ impl Reply for v1::ApplyAdjointResponse {
         let vectors = |v1::ControlPointVectors { component, vectors }| {
             named(&format!("control_points.{component}"), vectors)
         };
-        let by_points = std::mem::take(&mut self.control_points).into_iter().filter_map(vectors);
-        named("design", self.design.take()).into_iter().chain(by_points).collect()
+        let of_points = std::mem::take(&mut self.control_points).into_iter().filter_map(vectors);
+        named("design", self.design.take()).into_iter().chain(of_points).collect()
     }
 
     fn headers(&self) -> Vec<(&'static str, String)> {

@@ -1,4 +1,4 @@
-//! Sessions over HTTP, and what they compute.
+//! Sessions over HTTP: designs, deformations and products with derivatives.
 
 use axum::{
     body::Body,
@@ -8,33 +8,26 @@ use axum::{
 };
 use moldline_proto::v1;
 use moldline_transport::{
-    Answer, Caller, Id, Problem, Query,
+    Answer, Caller, Id, Query,
     media::{self, ARRAYS, Media},
 };
 use serde::Deserialize;
 
-use super::{
-    Http,
-    bodies::Sent,
-    documents::{Deform, Jvp, OpenSession, UpdateSession, Vjp},
-    idempotency_key,
-    replies::Reply,
-    setups::Page,
-};
+use super::{Http, bodies::Sent, idempotency_key, replies::Reply, responses::Errors, setups::Page};
 
 /// Opens a session on a set-up
 ///
-/// It lasts, with its design, until it is closed: any server of the same store can go on with it.
+/// The session and its design last until it is closed, and any server of the same store can continue it.
 #[utoipa::path(
     post, path = "/v1/setups/{setup_id}/sessions", operation_id = "OpenSession", tag = "sessions",
     params(
         ("setup_id" = String, Path),
         ("Idempotency-Key" = Option<String>, Header, description = "Chosen by the client, so that a retry is recognised."),
     ),
-    request_body = Option<OpenSession>,
+    request_body = Option<v1::OpenSessionRequest>,
     responses(
         (status = 201, description = "The session.", body = v1::OpenSessionResponse, headers(("Location" = String))),
-        (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
+        Errors,
     )
 )]
 pub async fn open_session(
@@ -44,9 +37,9 @@ pub async fn open_session(
     headers: HeaderMap,
     body: Body,
 ) -> Answer<Response> {
-    let OpenSession { label } = http.bodies.document(&headers, body).await?;
-    let request = v1::OpenSessionRequest { setup_id, request_id: idempotency_key(&headers), label };
-    let opened = http.meshes.open_session(&caller, request).await?;
+    let document: v1::OpenSessionRequest = http.bodies.document(&headers, body).await?;
+    let request = v1::OpenSessionRequest { setup_id, request_id: idempotency_key(&headers), ..document };
+    let opened = http.api.open_session(&caller, request).await?;
     let mut response = media::document(StatusCode::CREATED, &opened)?;
     if let Ok(location) = HeaderValue::from_str(&format!("/v1/sessions/{}", opened.session_id)) {
         response.headers_mut().insert(header::LOCATION, location);
@@ -59,7 +52,7 @@ pub async fn open_session(
     get, path = "/v1/sessions", operation_id = "ListSessions", tag = "sessions", params(Page),
     responses(
         (status = 200, description = "Sessions in the order of their ids.", body = v1::ListSessionsResponse),
-        (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
+        Errors,
     )
 )]
 pub async fn list_sessions(
@@ -67,8 +60,7 @@ pub async fn list_sessions(
     Caller(caller): Caller,
     Query(Page { page_size, page_token }): Query<Page>,
 ) -> Answer<Response> {
-    let listed =
-        http.meshes.list_sessions(&caller, v1::ListSessionsRequest { page_size, page_token }).await?;
+    let listed = http.api.list_sessions(&caller, v1::ListSessionsRequest { page_size, page_token }).await?;
     media::document(StatusCode::OK, &listed)
 }
 
@@ -83,7 +75,7 @@ pub async fn list_sessions(
             (v1::GetSessionResponse = "application/json"), (media::Binary = "application/x-npy"),
             (media::Binary = "application/x-npz"), (media::Binary = "application/octet-stream"),
         )),
-        (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
+        Errors,
     )
 )]
 pub async fn get_session(
@@ -93,12 +85,12 @@ pub async fn get_session(
     headers: HeaderMap,
 ) -> Answer<Response> {
     let media = Media::accepted(&headers, &ARRAYS)?;
-    http.meshes.get_session(&caller, v1::GetSessionRequest { session_id }).await?.respond(media)
+    http.api.get_session(&caller, v1::GetSessionRequest { session_id }).await?.respond(media)
 }
 
 /// Stores a session's design
 ///
-/// How an optimizer saves where it has got to. Of two updates of the same generation one is refused (ABORTED) and has to
+/// An optimizer saves its progress this way. Of two updates of the same generation one is refused (ABORTED), and its client must
 /// read the session again.
 #[utoipa::path(
     patch, path = "/v1/sessions/{session_id}", operation_id = "UpdateSession", tag = "sessions",
@@ -106,10 +98,10 @@ pub async fn get_session(
         ("session_id" = String, Path),
         ("Idempotency-Key" = Option<String>, Header, description = "Chosen by the client, so that a retry is recognised."),
     ),
-    request_body = UpdateSession,
+    request_body = v1::UpdateSessionRequest,
     responses(
         (status = 200, description = "The session as it is now.", body = v1::UpdateSessionResponse),
-        (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
+        Errors,
     )
 )]
 pub async fn update_session(
@@ -119,15 +111,9 @@ pub async fn update_session(
     headers: HeaderMap,
     body: Body,
 ) -> Answer<Response> {
-    let UpdateSession { expected_generation, design, label } = http.bodies.document(&headers, body).await?;
-    let request = v1::UpdateSessionRequest {
-        session_id,
-        expected_generation,
-        design: design.map(Into::into),
-        label,
-        request_id: idempotency_key(&headers),
-    };
-    media::document(StatusCode::OK, &http.meshes.update_session(&caller, request).await?)
+    let document: v1::UpdateSessionRequest = http.bodies.document(&headers, body).await?;
+    let request = v1::UpdateSessionRequest { session_id, request_id: idempotency_key(&headers), ..document };
+    media::document(StatusCode::OK, &http.api.update_session(&caller, request).await?)
 }
 
 /// Closes a session for good
@@ -135,8 +121,8 @@ pub async fn update_session(
     delete, path = "/v1/sessions/{session_id}", operation_id = "CloseSession", tag = "sessions",
     params(("session_id" = String, Path)),
     responses(
-        (status = 204, description = "It is closed."),
-        (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
+        (status = 204, description = "The session is closed."),
+        Errors,
     )
 )]
 pub async fn close_session(
@@ -144,16 +130,16 @@ pub async fn close_session(
     Caller(caller): Caller,
     Id(session_id): Id,
 ) -> Answer<StatusCode> {
-    http.meshes.close_session(&caller, v1::CloseSessionRequest { session_id }).await?;
+    http.api.close_session(&caller, v1::CloseSessionRequest { session_id }).await?;
     Ok(StatusCode::NO_CONTENT)
 }
 
-/// What a design that comes as arrays does not say.
+/// The fields of a deformation whose design comes as arrays.
 #[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct DeformQuery {
-    /// Whether the measures of every cell are wanted too. (In JSON, a field of the document.)
+    /// Whether to return the measures of every cell too. (In JSON, a field of the document.)
     #[serde(default)]
     include_cell_quality: bool,
     /// Extents of an `application/octet-stream` body, such as `45`.
@@ -168,7 +154,7 @@ pub struct DeformQuery {
     post, path = "/v1/sessions/{session_id}/deform", operation_id = "Deform", tag = "sessions",
     params(("session_id" = String, Path), DeformQuery),
     request_body(content(
-        (Option<Deform> = "application/json"), (media::Binary = "application/x-npy"),
+        (Option<v1::DeformRequest> = "application/json"), (media::Binary = "application/x-npy"),
         (media::Binary = "application/x-npz"), (media::Binary = "application/octet-stream"),
     ), description = "Arrays: `design`, `control_points.COMPONENT`."),
     responses(
@@ -176,31 +162,31 @@ pub struct DeformQuery {
             (v1::DeformResponse = "application/json"), (media::Binary = "application/x-npy"),
             (media::Binary = "application/x-npz"), (media::Binary = "application/octet-stream"),
         )),
-        (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
+        Errors,
     )
 )]
 pub async fn deform(
     State(http): State<Http>,
     Caller(caller): Caller,
-    Id(id): Id,
+    Id(session_id): Id,
     Query(query): Query<DeformQuery>,
     headers: HeaderMap,
     body: Body,
 ) -> Answer<Response> {
     let media = Media::accepted(&headers, &ARRAYS)?;
     let request = match http.bodies.numbers(&headers, body, "design", query.shape.as_deref()).await? {
-        Sent::Document(document) => Deform::message(document, id),
-        Sent::Arrays(arrays) => arrays.deform(id, query.include_cell_quality)?,
+        Sent::Document(document) => v1::DeformRequest { session_id, ..document },
+        Sent::Arrays(arrays) => arrays.deform(session_id, query.include_cell_quality)?,
     };
-    http.meshes.deform(&caller, request).await?.respond(media)
+    http.api.deform(&caller, request).await?.respond(media)
 }
 
-/// Where a derivative is taken, if the body comes as arrays.
+/// The point of a derivative, if the body comes as arrays.
 #[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct AtQuery {
-    /// As Deform returned it. (In JSON, a field of the document.)
+    /// From the answer of Deform. (In JSON, a field of the document.)
     pub linearisation_id: Option<String>,
     /// Extents of an `application/octet-stream` body, such as `2,45`.
     pub shape: Option<String>,
@@ -208,12 +194,12 @@ pub struct AtQuery {
 
 /// Jacobian-vector products
 ///
-/// How vertices and functions change along directions of the design variables, of control points, or both together.
+/// Changes of vertices and functions along directions of the design variables, of control points, or of both together.
 #[utoipa::path(
     post, path = "/v1/sessions/{session_id}/jvp", operation_id = "ApplyJacobianVector", tag = "sessions",
     params(("session_id" = String, Path), AtQuery),
     request_body(content(
-        (Jvp = "application/json"), (media::Binary = "application/x-npy"),
+        (v1::ApplyJacobianVectorRequest = "application/json"), (media::Binary = "application/x-npy"),
         (media::Binary = "application/x-npz"), (media::Binary = "application/octet-stream"),
     ), description = "Arrays: `design`, `control_points.COMPONENT`, `at.design`, `at.control_points.COMPONENT`."),
     responses(
@@ -221,49 +207,49 @@ pub struct AtQuery {
             (v1::ApplyJacobianVectorResponse = "application/json"), (media::Binary = "application/x-npy"),
             (media::Binary = "application/x-npz"), (media::Binary = "application/octet-stream"),
         )),
-        (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
+        Errors,
     )
 )]
 pub async fn apply_jacobian_vector(
     State(http): State<Http>,
     Caller(caller): Caller,
-    Id(id): Id,
+    Id(session_id): Id,
     Query(query): Query<AtQuery>,
     headers: HeaderMap,
     body: Body,
 ) -> Answer<Response> {
     let media = Media::accepted(&headers, &ARRAYS)?;
     let request = match http.bodies.numbers(&headers, body, "design", query.shape.as_deref()).await? {
-        Sent::Document(document) => Jvp::message(document, id),
-        Sent::Arrays(arrays) => arrays.jvp(id, query.linearisation_id)?,
+        Sent::Document(document) => v1::ApplyJacobianVectorRequest { session_id, ..document },
+        Sent::Arrays(arrays) => arrays.jvp(session_id, query.linearisation_id)?,
     };
-    http.meshes.apply_jacobian_vector(&caller, request).await?.respond(media)
+    http.api.apply_jacobian_vector(&caller, request).await?.respond(media)
 }
 
-/// What seeds that come as arrays do not say.
+/// The fields of an adjoint product whose seeds come as arrays.
 #[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct VjpQuery {
-    /// As Deform returned it. (In JSON, like all of these, a field of the document.)
+    /// From the answer of Deform. (In JSON, like all of these, a field of the document.)
     linearisation_id: Option<String>,
     /// Extents of an `application/octet-stream` body, such as `2,14824,3`.
     shape: Option<String>,
-    /// Whether gradients by the design variables are wanted; they are if no others are.
+    /// Whether to return gradients with respect to the design variables; true if no others are requested.
     #[serde(default)]
     include_design: bool,
-    /// Components by whose control points gradients are wanted, separated by commas.
+    /// Components with respect to whose control points to return gradients, separated by commas.
     control_points_of: Option<String>,
 }
 
 /// Vector-Jacobian products: gradients
 ///
-/// Gradients of weighted sums of vertices and functions by the design variables, by control points, or both.
+/// Gradients of weighted sums of vertices and functions with respect to the design variables, control points, or both.
 #[utoipa::path(
     post, path = "/v1/sessions/{session_id}/vjp", operation_id = "ApplyAdjoint", tag = "sessions",
     params(("session_id" = String, Path), VjpQuery),
     request_body(content(
-        (Vjp = "application/json"), (media::Binary = "application/x-npy"),
+        (v1::ApplyAdjointRequest = "application/json"), (media::Binary = "application/x-npy"),
         (media::Binary = "application/x-npz"), (media::Binary = "application/octet-stream"),
     ), description = "Arrays: `vertices`, `functions`, `at.design`, `at.control_points.COMPONENT`."),
     responses(
@@ -271,25 +257,26 @@ pub struct VjpQuery {
             (v1::ApplyAdjointResponse = "application/json"), (media::Binary = "application/x-npy"),
             (media::Binary = "application/x-npz"), (media::Binary = "application/octet-stream"),
         )),
-        (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
+        Errors,
     )
 )]
 pub async fn apply_adjoint(
     State(http): State<Http>,
     Caller(caller): Caller,
-    Id(id): Id,
+    Id(session_id): Id,
     Query(query): Query<VjpQuery>,
     headers: HeaderMap,
     body: Body,
 ) -> Answer<Response> {
     let media = Media::accepted(&headers, &ARRAYS)?;
-    let request = match http.bodies.numbers(&headers, body, "vertices", query.shape.as_deref()).await? {
-        Sent::Document(document) => Vjp::message(document, id),
+    let mut request = match http.bodies.numbers(&headers, body, "vertices", query.shape.as_deref()).await? {
+        Sent::Document(document) => v1::ApplyAdjointRequest { session_id, ..document },
         Sent::Arrays(arrays) => {
             let components = query.control_points_of.as_deref().unwrap_or_default().split(',').map(str::trim);
             let components = components.filter(|name| !name.is_empty()).map(str::to_owned).collect();
-            arrays.vjp(id, query.linearisation_id, query.include_design, components)?
+            arrays.vjp(session_id, query.linearisation_id, query.include_design, components)?
         }
     };
-    http.meshes.apply_adjoint(&caller, request).await?.respond(media)
+    request.include_design |= request.control_points_of.is_empty();
+    http.api.apply_adjoint(&caller, request).await?.respond(media)
 }

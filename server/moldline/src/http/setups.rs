@@ -11,7 +11,7 @@ use axum::{
 use moldline_proto::v1;
 use moldline_service::{Principal, ServiceError};
 use moldline_transport::{
-    Answer, Caller, Deadline, Id, Problem, Query, Refusal,
+    Answer, Caller, Deadline, Id, Query, Refusal,
     media::{self, ARRAYS, Chunks, Media},
 };
 use serde::Deserialize;
@@ -19,24 +19,24 @@ use tokio_stream::StreamExt;
 
 use super::{
     Http,
-    documents::{ShareSetup, Visibility},
     events::{self, Tell, Work},
     idempotency_key,
     operations::Operation,
     replies::Reply,
+    responses::Errors,
 };
 use crate::convert;
 
-/// How an upload is described.
+/// The description of an upload.
 #[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct Upload {
     /// The file in the archive that describes the set-up; `setup.toml` or `setup.json` if absent.
     setup_file: Option<String>,
-    /// Who else may use it; if absent nobody, or whoever might before.
+    /// Who else may use it. If absent: nobody for a new set-up, no change for a known one.
     #[param(inline)]
-    visibility: Option<Visibility>,
+    visibility: Option<v1::Visibility>,
     /// Tenants, separated by commas, with `visibility=tenants`.
     shared_with: Option<String>,
 }
@@ -45,25 +45,25 @@ pub struct Upload {
 ///
 /// The body is an archive of the set-up's folder, or a set-up file that needs no others. The answer comes when it is
 /// built; with `Accept: text/event-stream` it is a stream of `progress` events and one `created` or `problem` at the end;
-/// with `Prefer: respond-async` it is an operation to poll. The same content again is answered from the set-up that exists.
+/// with `Prefer: respond-async` it is an operation to poll. The same content again gives the existing set-up.
 #[utoipa::path(
     post, path = "/v1/setups", operation_id = "CreateSetup", tag = "set-ups",
     params(
         Upload,
         ("Idempotency-Key" = Option<String>, Header, description = "Chosen by the client, so that a retry is recognised."),
-        ("Prefer" = Option<String>, Header, description = "`respond-async` answers an operation as soon as the body is there."),
+        ("Prefer" = Option<String>, Header, description = "`respond-async`: answer with an operation as soon as the body is received."),
     ),
     request_body(content(
         (media::Binary = "application/x-tar"), (media::Binary = "application/gzip"), (media::Binary = "application/zip"),
         (serde_json::Value = "application/json"), (String = "application/toml"),
-    ), description = "An archive (tar, tar.gz, zip), or `setup.json` or `setup.toml` alone. Its length has to be announced."),
+    ), description = "An archive (tar, tar.gz, zip), or `setup.json` or `setup.toml` alone. The length of the body must be announced."),
     responses(
-        (status = 200, description = "It exists.", content(
+        (status = 200, description = "The set-up exists already.", content(
             (v1::CreatedSetup = "application/json"), (String = "text/event-stream"),
         )),
-        (status = 201, description = "It is new to the caller.", body = v1::CreatedSetup, headers(("Location" = String))),
-        (status = 202, description = "It is being built.", body = Operation, headers(("Location" = String))),
-        (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
+        (status = 201, description = "The set-up is new to the caller.", body = v1::CreatedSetup, headers(("Location" = String))),
+        (status = 202, description = "The set-up is being built.", body = Operation, headers(("Location" = String))),
+        Errors,
     )
 )]
 pub async fn create_setup(
@@ -104,10 +104,10 @@ fn answer(created: &v1::CreatedSetup) -> Answer<Response> {
     Ok(response)
 }
 
-/// What the request says of the bytes to come.
+/// The header of the upload, from the request's query and headers.
 fn announced(http: &Http, upload: Upload, headers: &HeaderMap) -> Answer<v1::SetupHeader> {
     use v1::ArchiveKind::{Tar, TarGz, Zip};
-    let limit = http.meshes.service().limits().upload_bytes;
+    let limit = http.api.service().limits().upload_bytes;
     let length = media::length(headers, limit)?.ok_or_else(|| {
         let error = ServiceError::invalid("content-length", "is missing: announce the length of the upload");
         Refusal::with(StatusCode::LENGTH_REQUIRED, error)
@@ -137,12 +137,12 @@ fn announced(http: &Http, upload: Upload, headers: &HeaderMap) -> Answer<v1::Set
         request_id: idempotency_key(headers),
         setup_file: upload.setup_file.unwrap_or_default(),
         source: Some(source),
-        visibility: upload.visibility.map_or(v1::Visibility::Unspecified, Into::into).into(),
+        visibility: upload.visibility.unwrap_or_default().into(),
         shared_with: shared_with.filter(|name| !name.is_empty()).map(str::to_owned).collect(),
     })
 }
 
-/// Receives and builds.
+/// Receives and builds a set-up.
 async fn receive(
     http: &Http,
     caller: &Principal,
@@ -150,22 +150,22 @@ async fn receive(
     body: Body,
     tell: impl FnMut(v1::Progress),
 ) -> Answer<v1::CreatedSetup> {
-    let header = convert::upload(header)?;
-    let most = http.meshes.service().limits().chunk_bytes;
+    let header = convert::setups::upload(header)?;
+    let most = http.api.service().limits().chunk_bytes;
     let parts = Chunks::new(body, most).map(|data| Ok((0, data?)));
-    http.meshes.create_setup(caller, header, parts, tell, Refusal::from).await
+    http.api.create_setup(caller, header, parts, tell, Refusal::from).await
 }
 
-/// A part of a list.
+/// A page of a list.
 #[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct Page {
-    /// Most entries of the answer; 0 and more than the server's limit are its limit.
+    /// Largest number of entries in the answer; 0 and numbers above the server's limit give that limit.
     #[serde(default)]
     #[param(format = Int64, maximum = 4294967295_u32)]
     pub page_size: u32,
-    /// As the answer before gave it; empty for the first page.
+    /// From the previous answer; empty for the first page.
     #[serde(default)]
     pub page_token: String,
 }
@@ -177,7 +177,7 @@ pub struct Page {
     get, path = "/v1/setups", operation_id = "ListSetups", tag = "set-ups", params(Page),
     responses(
         (status = 200, description = "Set-ups in the order of their ids.", body = v1::ListSetupsResponse),
-        (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
+        Errors,
     )
 )]
 pub async fn list_setups(
@@ -185,26 +185,26 @@ pub async fn list_setups(
     Caller(caller): Caller,
     Query(Page { page_size, page_token }): Query<Page>,
 ) -> Answer<Response> {
-    let listed = http.meshes.list_setups(&caller, v1::ListSetupsRequest { page_size, page_token }).await?;
+    let listed = http.api.list_setups(&caller, v1::ListSetupsRequest { page_size, page_token }).await?;
     media::document(StatusCode::OK, &listed)
 }
 
-/// What is wanted of a set-up.
+/// Optional parts of a set-up's description.
 #[derive(Debug, Deserialize, utoipa::IntoParams)]
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct GetSetup {
-    /// Whether the reference mesh is wanted too. Binary answers are its arrays, the vertices first.
+    /// Whether to return the reference mesh too. Binary answers are its arrays, the vertices first.
     #[serde(default)]
     include_mesh: bool,
-    /// Whether the control points of the baseline are wanted too.
+    /// Whether to return the control points of the baseline too.
     #[serde(default)]
     include_control_points: bool,
 }
 
 /// Describes a set-up
 ///
-/// Report, variables, sizes; on demand its reference mesh and control points.
+/// Report, variables, sizes; on request its reference mesh and control points.
 #[utoipa::path(
     get, path = "/v1/setups/{setup_id}", operation_id = "GetSetup", tag = "set-ups",
     params(("setup_id" = String, Path), GetSetup),
@@ -213,7 +213,7 @@ pub struct GetSetup {
             (v1::GetSetupResponse = "application/json"), (media::Binary = "application/x-npy"),
             (media::Binary = "application/x-npz"), (media::Binary = "application/octet-stream"),
         )),
-        (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
+        Errors,
     )
 )]
 pub async fn get_setup(
@@ -225,18 +225,18 @@ pub async fn get_setup(
 ) -> Answer<Response> {
     let media = Media::accepted(&headers, &ARRAYS)?;
     let request = v1::GetSetupRequest { setup_id, include_mesh, include_control_points };
-    http.meshes.get_setup(&caller, request).await?.respond(media)
+    http.api.get_setup(&caller, request).await?.respond(media)
 }
 
-/// Gives up a set-up of the caller's own
+/// Deletes a set-up of the caller's own
 ///
-/// Sessions that are open on it go on. Whoever else uploaded the same content keeps it.
+/// Its open sessions go on. Other tenants that uploaded the same content keep it.
 #[utoipa::path(
     delete, path = "/v1/setups/{setup_id}", operation_id = "DeleteSetup", tag = "set-ups",
     params(("setup_id" = String, Path)),
     responses(
-        (status = 204, description = "It is not the caller's any more."),
-        (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
+        (status = 204, description = "The set-up is deleted."),
+        Errors,
     )
 )]
 pub async fn delete_setup(
@@ -244,17 +244,17 @@ pub async fn delete_setup(
     Caller(caller): Caller,
     Id(setup_id): Id,
 ) -> Answer<StatusCode> {
-    http.meshes.delete_setup(&caller, v1::DeleteSetupRequest { setup_id }).await?;
+    http.api.delete_setup(&caller, v1::DeleteSetupRequest { setup_id }).await?;
     Ok(StatusCode::NO_CONTENT)
 }
 
 /// Changes who else may use a set-up of the caller's own
 #[utoipa::path(
     put, path = "/v1/setups/{setup_id}/access", operation_id = "ShareSetup", tag = "set-ups",
-    params(("setup_id" = String, Path)), request_body = ShareSetup,
+    params(("setup_id" = String, Path)), request_body = v1::ShareSetupRequest,
     responses(
         (status = 200, description = "Who may use it now.", body = v1::ShareSetupResponse),
-        (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
+        Errors,
     )
 )]
 pub async fn share_setup(
@@ -264,22 +264,21 @@ pub async fn share_setup(
     headers: HeaderMap,
     body: Body,
 ) -> Answer<Response> {
-    let ShareSetup { visibility, shared_with } = http.bodies.document(&headers, body).await?;
-    let visibility = v1::Visibility::from(visibility).into();
-    let request = v1::ShareSetupRequest { setup_id, visibility, shared_with };
-    media::document(StatusCode::OK, &http.meshes.share_setup(&caller, request).await?)
+    let document: v1::ShareSetupRequest = http.bodies.document(&headers, body).await?;
+    let request = v1::ShareSetupRequest { setup_id, ..document };
+    media::document(StatusCode::OK, &http.api.share_setup(&caller, request).await?)
 }
 
-/// What the server does and holds
+/// Load and contents of the server
 ///
-/// Of the caller's tenant, and of all for administrators.
+/// Those of the caller's tenant; for administrators those of all tenants.
 #[utoipa::path(
     get, path = "/v1/status", operation_id = "GetStatus", tag = "server",
     responses(
-        (status = 200, description = "Load, memory, and what runs.", body = v1::GetStatusResponse),
-        (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
+        (status = 200, description = "Load, memory and running work.", body = v1::GetStatusResponse),
+        Errors,
     )
 )]
 pub async fn get_status(State(http): State<Http>, Caller(caller): Caller) -> Answer<Response> {
-    media::document(StatusCode::OK, &http.meshes.get_status(&caller, v1::GetStatusRequest {}).await?)
+    media::document(StatusCode::OK, &http.api.get_status(&caller, v1::GetStatusRequest {}).await?)
 }

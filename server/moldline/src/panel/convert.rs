@@ -1,20 +1,23 @@
-//! Wire messages to the panel service's types and back.
+//! Conversions between the messages of the protocol and the types of the panel method and its service.
 
 use moldline_mesh::{Cell, Group, Limits, MeshError};
 use moldline_panel::{
-    Analysis, Flow, Inputs, Loads, Options, Outputs, Reference, Scalars, Section, Solver, Symmetry,
-    TrailingEdges,
+    Analysis, Flow, Inputs, Loads, Options, Outputs, Reference, Scalars, Section, TrailingEdges,
 };
 use moldline_panel_service::{Analysed, AnalysisPoint, Configuration, Definition, Geometry, refused};
-use moldline_proto::v1::{self, DataType};
+use moldline_proto::v1;
 use moldline_service::ServiceError;
 use v1::trailing_edges::Rule;
 
+use super::choices::{SOLVERS, SYMMETRIES, of_message, to_message};
 use crate::convert::{
-    array, float64, index_rows, indices, numbers, point_vectors, points, positions, shape, timings, vectors,
+    arrays::{
+        float64, index_array, index_rows, indices, numbers, point_vectors, points, positions, shape, vectors,
+    },
+    status::timings,
 };
 
-/// A mesh and its options; counts are checked before anything is copied.
+/// A mesh and its options. Counts are checked before anything is copied.
 pub fn definition(
     request: v1::CreateConfigurationRequest,
     limits: &Limits,
@@ -35,7 +38,7 @@ pub fn definition(
             return Err(refused(MeshError::TooMany { what, count, limit }.into()));
         }
     }
-    // The mark of a triangle's missing vertex is the same in the mesh.
+    // The mesh marks a triangle's missing vertex by the same number.
     let cells = index_rows::<4>("cells", &cells)?.into_iter().map(|[a, b, c, d]| Cell::quad(a, b, c, d));
     Ok(Definition {
         cells: cells.collect(),
@@ -49,8 +52,7 @@ pub fn definition(
 fn groups(field: &str, groups: Vec<v1::IndexGroup>) -> Result<Vec<Group>, ServiceError> {
     let group = |v1::IndexGroup { name, indices: list }| {
         let field = format!("{field}[\"{name}\"].indices");
-        let mut indices =
-            indices(&field, &list.unwrap_or_else(|| array(DataType::Uint32, &[0], Vec::new())))?;
+        let mut indices = indices(&field, &list.unwrap_or_else(|| index_array(&[0], &[])))?;
         indices.sort_unstable();
         indices.dedup();
         Ok(Group { name, indices })
@@ -61,20 +63,10 @@ fn groups(field: &str, groups: Vec<v1::IndexGroup>) -> Result<Vec<Group>, Servic
 fn options(options: v1::PanelOptions) -> Result<Options, ServiceError> {
     let unknown =
         |field: &str, value: i32| ServiceError::invalid(field, format!("there is no choice {value}"));
-    let symmetry = match v1::PanelSymmetry::try_from(options.symmetry) {
-        Ok(v1::PanelSymmetry::Unspecified) => Symmetry::Automatic,
-        Ok(v1::PanelSymmetry::None) => Symmetry::None,
-        Ok(v1::PanelSymmetry::Half) => Symmetry::Half,
-        Ok(v1::PanelSymmetry::Mirror) => Symmetry::Mirror,
-        Err(_) => return Err(unknown("options.symmetry", options.symmetry)),
-    };
-    let solver = match v1::PanelSolver::try_from(options.solver) {
-        Ok(v1::PanelSolver::Unspecified) => Solver::Automatic,
-        Ok(v1::PanelSolver::Double) => Solver::Double,
-        Ok(v1::PanelSolver::Single) => Solver::Single,
-        Ok(v1::PanelSolver::Iterative) => Solver::Iterative,
-        Err(_) => return Err(unknown("options.solver", options.solver)),
-    };
+    let symmetry = of_message(&SYMMETRIES, options.symmetry);
+    let symmetry = symmetry.ok_or_else(|| unknown("options.symmetry", options.symmetry))?;
+    let solver = of_message(&SOLVERS, options.solver);
+    let solver = solver.ok_or_else(|| unknown("options.solver", options.solver))?;
     let defaults = Options::default();
     let trailing_edges = match options.trailing_edges.and_then(|edges| edges.rule) {
         None => defaults.trailing_edges,
@@ -102,28 +94,22 @@ pub fn configuration(configuration: &Configuration) -> v1::Configuration {
         cell_count: configuration.cells as u64,
         unknowns: summary.unknowns as u64,
         symmetric: summary.symmetric,
-        trailing_edges: Some(of_indices(&[edges.len(), 2], edges.as_flattened())),
-        roots: Some(of_indices(&[summary.roots.len()], &summary.roots)),
-        solver: match summary.solver {
-            Solver::Automatic => v1::PanelSolver::Unspecified,
-            Solver::Double => v1::PanelSolver::Double,
-            Solver::Single => v1::PanelSolver::Single,
-            Solver::Iterative => v1::PanelSolver::Iterative,
-        }
-        .into(),
+        trailing_edges: Some(index_array(&[edges.len(), 2], edges.as_flattened())),
+        roots: Some(index_array(&[summary.roots.len()], &summary.roots)),
+        solver: to_message(&SOLVERS, summary.solver),
         memory_bytes: summary.memory,
         components: configuration.setup.component_names().map(str::to_owned).collect(),
     }
 }
 
-/// Where the vertices are; fields have `prefix` before them.
+/// Vertices and Mach number. Errors name fields with `prefix` before them.
 pub fn geometry(prefix: &str, geometry: v1::AnalysisGeometry) -> Result<Geometry, ServiceError> {
     let v1::AnalysisGeometry { vertices, mach } = geometry;
     let vertices = vertices.map(|array| positions(&format!("{prefix}vertices"), &array)).transpose()?;
     Ok(Geometry { vertices, mach })
 }
 
-/// What coefficients refer to; fields have `prefix` before them.
+/// The reference of coefficients. Errors name fields with `prefix` before them.
 pub fn reference(prefix: &str, reference: Option<v1::FlowReference>) -> Result<Reference, ServiceError> {
     let field = format!("{prefix}reference");
     let description = "is missing: name area, chord and span that coefficients refer to";
@@ -144,7 +130,7 @@ pub fn flow(v1::FlowAngles { alpha, sideslip }: v1::FlowAngles, reference: Refer
     Flow { alpha, sideslip, reference }
 }
 
-/// Where a derivative is taken.
+/// The point of a derivative.
 pub fn at(point: Option<v1::AnalysisPoint>) -> Result<AnalysisPoint, ServiceError> {
     let v1::AnalysisPoint { analysis_id, geometry: sent, flow: angles, reference: lengths } =
         point.unwrap_or_default();
@@ -154,13 +140,13 @@ pub fn at(point: Option<v1::AnalysisPoint>) -> Result<AnalysisPoint, ServiceErro
     Ok(AnalysisPoint { analysis_id, geometry, flow: flow(angles, reference("at.", lengths)?) })
 }
 
-/// Blocks that have to have as many rows.
+/// Blocks that must have the same number of rows.
 struct Rows {
     rows: Option<(String, usize)>,
 }
 
 impl Rows {
-    /// The block of a field, if it was sent.
+    /// Reads the block of a field, if it was sent.
     fn block<T>(
         &mut self,
         field: String,
@@ -273,7 +259,7 @@ pub fn outputs(changes: &[Outputs]) -> v1::FlowOutputs {
     }
 }
 
-/// Analyses of one solution, at the angles asked for.
+/// Analyses of one solution at the requested angles.
 pub fn analysis(analysed: &Analysed, angles: &[v1::FlowAngles], pressures: bool) -> v1::Analysis {
     let (residual, rounds) =
         analysed.analyses.first().map_or((0.0, 0), |first| (first.residual, first.rounds));
@@ -311,27 +297,16 @@ fn flow_analysis(analysis: &Analysis, angles: v1::FlowAngles, pressures: bool) -
 }
 
 fn coefficients(scalars: &Scalars) -> v1::FlowCoefficients {
-    let &Scalars {
-        lift,
-        induced_drag,
-        pressure_lift,
-        pressure_drag,
-        moment,
-        lift_slope,
-        moment_slope,
-        pressure_lift_slope,
-        neutral_point,
-    } = scalars;
     v1::FlowCoefficients {
-        lift,
-        induced_drag,
-        pressure_lift,
-        pressure_drag,
-        moment,
-        lift_slope,
-        moment_slope,
-        pressure_lift_slope,
-        neutral_point,
+        lift: scalars.lift,
+        induced_drag: scalars.induced_drag,
+        pressure_lift: scalars.pressure_lift,
+        pressure_drag: scalars.pressure_drag,
+        moment: scalars.moment,
+        lift_slope: scalars.lift_slope,
+        moment_slope: scalars.moment_slope,
+        pressure_lift_slope: scalars.pressure_lift_slope,
+        neutral_point: scalars.neutral_point,
     }
 }
 
@@ -345,13 +320,9 @@ fn sections(sections: &[Section]) -> v1::SectionLoads {
     let middles: Vec<[f64; 3]> = sections.iter().map(|section| section.middle).collect();
     let loads: Vec<f64> = sections.iter().map(|section| section.load).collect();
     v1::SectionLoads {
-        edges: Some(of_indices(&[k, 2], &edges)),
+        edges: Some(index_array(&[k, 2], &edges)),
         middles: Some(points(&middles)),
         spans: Some(numbers(&[k, 2], sections.iter().map(|section| &section.span[..]))),
         loads: Some(numbers(&[k], [&loads[..]])),
     }
-}
-
-fn of_indices(shape: &[usize], indices: &[u32]) -> v1::Array {
-    array(DataType::Uint32, shape, indices.iter().flat_map(|index| index.to_le_bytes()).collect())
 }

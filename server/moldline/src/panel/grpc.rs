@@ -1,4 +1,4 @@
-//! The gRPC transport of the panel method: thin.
+//! The gRPC transport of the panel method's service: it wraps [`PanelApi`].
 
 use std::pin::Pin;
 
@@ -13,27 +13,27 @@ use v1::{
     panel_service_server::{PanelService, PanelServiceServer},
 };
 
-use super::Panels;
+use super::api::PanelApi;
 use crate::grpc::{answer, open, open_routes};
 
 /// The name of the service.
-pub const PANELS: &str = <PanelServiceServer<Grpc> as tonic::server::NamedService>::NAME;
+const SERVICE: &str = <PanelServiceServer<Grpc> as tonic::server::NamedService>::NAME;
 
-/// The service, whose callers are asked who they are; and for everybody health and reflection.
+/// The routes of the service, which need a principal, and the open routes of [`open_routes`].
 pub async fn routes(
-    panels: Panels,
+    api: PanelApi,
     max_message: usize,
 ) -> Result<(Routes, Routes, Health), tonic_reflection::server::Error> {
-    let (open, health) = open_routes(PANELS).await?;
-    let panels = PanelServiceServer::new(Grpc { panels })
+    let (open, health) = open_routes(SERVICE).await?;
+    let service = PanelServiceServer::new(Grpc { api })
         .max_decoding_message_size(max_message)
         .max_encoding_message_size(usize::MAX);
-    Ok((Routes::new(panels), open, health))
+    Ok((Routes::new(service), open, health))
 }
 
 /// The service on the wire.
 pub struct Grpc {
-    panels: Panels,
+    api: PanelApi,
 }
 
 type Events = Pin<Box<dyn Stream<Item = Result<v1::AnalyzeResponse, Status>> + Send>>;
@@ -45,7 +45,7 @@ impl PanelService for Grpc {
         request: Request<v1::CreateConfigurationRequest>,
     ) -> Result<Response<v1::CreateConfigurationResponse>, Status> {
         let (caller, _, request) = open(request)?;
-        answer(self.panels.create_configuration(&caller, request).await)
+        answer(self.api.create_configuration(&caller, request).await)
     }
 
     async fn get_configuration(
@@ -53,25 +53,25 @@ impl PanelService for Grpc {
         request: Request<v1::GetConfigurationRequest>,
     ) -> Result<Response<v1::GetConfigurationResponse>, Status> {
         let (caller, _, request) = open(request)?;
-        answer(self.panels.get_configuration(&caller, request).await)
+        answer(self.api.get_configuration(&caller, request).await)
     }
 
     type AnalyzeStream = Events;
 
     async fn analyze(&self, request: Request<v1::AnalyzeRequest>) -> Result<Response<Events>, Status> {
         let (caller, deadline, request) = open(request)?;
-        // Events are few, so the channel need not be bounded.
+        // Unbounded, since events are few.
         let (sender, events) = mpsc::unbounded_channel();
-        let panels = self.panels.clone();
+        let api = self.api.clone();
         let work = async move {
             let event = |event| v1::AnalyzeResponse { event: Some(event) };
             let tell = |progress| {
                 let _ = sender.send(Ok(event(Event::Progress(progress))));
             };
-            let analyze = async { panels.analyze(&caller, request, tell).await.map_err(status) };
+            let analyze = async { api.analyze(&caller, request, tell).await.map_err(status) };
             let outcome = tokio::select! {
                 outcome = deadline.limit(analyze, status) => outcome,
-                // The client has gone: the interest in the solution goes with this future.
+                // The client has left: dropping this future cancels the solution.
                 () = sender.closed() => return,
             };
             let _ = sender.send(outcome.map(|analysis| event(Event::Analysis(analysis))));
@@ -85,7 +85,7 @@ impl PanelService for Grpc {
         request: Request<v1::PanelServiceApplyJacobianVectorRequest>,
     ) -> Result<Response<v1::PanelServiceApplyJacobianVectorResponse>, Status> {
         let (caller, _, request) = open(request)?;
-        answer(self.panels.apply_jacobian_vector(&caller, request).await)
+        answer(self.api.apply_jacobian_vector(&caller, request).await)
     }
 
     async fn apply_adjoint(
@@ -93,6 +93,6 @@ impl PanelService for Grpc {
         request: Request<v1::PanelServiceApplyAdjointRequest>,
     ) -> Result<Response<v1::PanelServiceApplyAdjointResponse>, Status> {
         let (caller, _, request) = open(request)?;
-        answer(self.panels.apply_adjoint(&caller, request).await)
+        answer(self.api.apply_adjoint(&caller, request).await)
     }
 }

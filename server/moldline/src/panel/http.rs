@@ -1,4 +1,4 @@
-//! The HTTP transport of the panel method: every RPC as a route.
+//! The HTTP transport of the panel method's service: a route for every RPC of [`PanelApi`].
 
 use axum::{
     body::Body,
@@ -15,59 +15,60 @@ use utoipa::OpenApi;
 use utoipa_axum::{router::OpenApiRouter, routes};
 
 use super::{
-    Panels,
-    documents::{Analyze, CreateConfiguration, FlowQuery, Jvp, OptionsQuery, Vjp},
+    api::PanelApi,
+    query::{FlowQuery, OptionsQuery},
 };
 use crate::http::{
     Bearer,
     bodies::{Bodies, Sent},
     events::{self, Tell, Work},
     replies::Reply,
+    responses::Errors,
 };
 
-/// What the handlers share.
+/// The state of all handlers.
 #[derive(Clone)]
 pub struct Http {
-    panels: Panels,
+    api: PanelApi,
     bodies: Bodies,
 }
 
-/// All routes, with their description.
-pub fn routes(panels: Panels, max_body: usize) -> OpenApiRouter {
+/// All routes, with their description. Bodies may have `max_body` bytes.
+pub fn routes(api: PanelApi, max_body: usize) -> OpenApiRouter {
     OpenApiRouter::with_openapi(Description::openapi())
         .routes(routes!(create_configuration))
         .routes(routes!(get_configuration))
         .routes(routes!(analyze))
         .routes(routes!(apply_jacobian_vector))
         .routes(routes!(apply_adjoint))
-        .with_state(Http { panels, bodies: Bodies { most: max_body } })
+        .with_state(Http { api, bodies: Bodies { most: max_body } })
 }
 
-/// What is said once for all routes.
+/// The part of the description that all routes share.
 #[derive(OpenApi)]
 #[openapi(
     info(title = "Moldline panel method", description = include_str!("description.md"), license(name = "Apache-2.0", identifier = "Apache-2.0")),
     components(schemas(Problem)),
     modifiers(&Bearer),
     tags(
-        (name = "configurations", description = "Meshes made ready: immutable, named by their content."),
+        (name = "configurations", description = "Prepared meshes: immutable, named by their content."),
         (name = "analyses", description = "Flow over a configuration's cells, and its derivatives."),
     )
 )]
 struct Description;
 
-/// Makes a mesh ready
+/// Prepares a mesh
 ///
 /// Finds trailing edges, wakes and stencils. The same content again gives the same configuration.
 #[utoipa::path(
     post, path = "/v1/configurations", operation_id = "CreateConfiguration", tag = "configurations", params(OptionsQuery),
     request_body(content(
-        (CreateConfiguration = "application/json"), (media::Binary = "application/x-npz"),
+        (v1::CreateConfigurationRequest = "application/json"), (media::Binary = "application/x-npz"),
     ), description = "Arrays: `cells` (uint32, m by 4, a triangle's fourth 0xFFFFFFFF), `vertices`, `cell_groups.NAME`, `vertex_groups.NAME`."),
     responses(
-        (status = 200, description = "The server had it.", body = v1::CreateConfigurationResponse),
-        (status = 201, description = "It is new.", body = v1::CreateConfigurationResponse, headers(("Location" = String))),
-        (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
+        (status = 200, description = "The server already had the configuration.", body = v1::CreateConfigurationResponse),
+        (status = 201, description = "The configuration is new.", body = v1::CreateConfigurationResponse, headers(("Location" = String))),
+        Errors,
     )
 )]
 pub async fn create_configuration(
@@ -78,10 +79,10 @@ pub async fn create_configuration(
     body: Body,
 ) -> Answer<Response> {
     let request = match http.bodies.numbers(&headers, body, "vertices", None).await? {
-        Sent::Document(document) => CreateConfiguration::message(document)?,
-        Sent::Arrays(arrays) => CreateConfiguration::of_arrays(arrays, query.options()?)?,
+        Sent::Document(document) => document,
+        Sent::Arrays(arrays) => query.create_configuration(arrays)?,
     };
-    let answer = http.panels.create_configuration(&caller, request).await?;
+    let answer = http.api.create_configuration(&caller, request).await?;
     let status = if answer.created { StatusCode::CREATED } else { StatusCode::OK };
     let mut response = media::document(status, &answer)?;
     let id = answer.configuration.map(|configuration| configuration.configuration_id).unwrap_or_default();
@@ -97,7 +98,7 @@ pub async fn create_configuration(
     params(("configuration_id" = String, Path)),
     responses(
         (status = 200, description = "The configuration.", body = v1::GetConfigurationResponse),
-        (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
+        Errors,
     )
 )]
 pub async fn get_configuration(
@@ -106,7 +107,7 @@ pub async fn get_configuration(
     Id(configuration_id): Id,
 ) -> Answer<Response> {
     let request = v1::GetConfigurationRequest { configuration_id };
-    media::document(StatusCode::OK, &http.panels.get_configuration(&caller, request).await?)
+    media::document(StatusCode::OK, &http.api.get_configuration(&caller, request).await?)
 }
 
 /// Analyses the flow
@@ -118,7 +119,7 @@ pub async fn get_configuration(
     post, path = "/v1/configurations/{configuration_id}/analyze", operation_id = "Analyze", tag = "analyses",
     params(("configuration_id" = String, Path), FlowQuery),
     request_body(content(
-        (Analyze = "application/json"), (media::Binary = "application/x-npy"),
+        (v1::AnalyzeRequest = "application/json"), (media::Binary = "application/x-npy"),
         (media::Binary = "application/x-npz"), (media::Binary = "application/octet-stream"),
     ), description = "Arrays: `vertices`."),
     responses(
@@ -126,14 +127,14 @@ pub async fn get_configuration(
             (v1::Analysis = "application/json"), (media::Binary = "application/x-npy"),
             (media::Binary = "application/x-npz"), (media::Binary = "application/octet-stream"), (String = "text/event-stream"),
         )),
-        (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
+        Errors,
     )
 )]
 pub async fn analyze(
     State(http): State<Http>,
     Caller(caller): Caller,
     axum::Extension(deadline): axum::Extension<Deadline>,
-    Id(id): Id,
+    Id(configuration_id): Id,
     Query(query): Query<FlowQuery>,
     headers: HeaderMap,
     body: Body,
@@ -141,26 +142,26 @@ pub async fn analyze(
     let offered = [&ARRAYS[..], &[Media::Events]].concat();
     let media = Media::accepted(&headers, &offered)?;
     let request = match http.bodies.numbers(&headers, body, "vertices", query.shape.as_deref()).await? {
-        Sent::Document(document) => Analyze::message(document, id),
-        Sent::Arrays(arrays) => query.analyze(arrays, id)?,
+        Sent::Document(document) => v1::AnalyzeRequest { configuration_id, ..document },
+        Sent::Arrays(arrays) => query.analyze(arrays, configuration_id)?,
     };
     if media == Media::Events {
         let work = move |tell: Tell| -> Work<v1::Analysis> {
-            Box::pin(async move { Ok(http.panels.analyze(&caller, request, tell).await?) })
+            Box::pin(async move { Ok(http.api.analyze(&caller, request, tell).await?) })
         };
         return Ok(events::stream("analysis", deadline, work));
     }
-    http.panels.analyze(&caller, request, |_| {}).await?.respond(media)
+    http.api.analyze(&caller, request, |_| {}).await?.respond(media)
 }
 
 /// Jacobian-vector products
 ///
-/// How the outputs change along directions of the vertices, of flow and reference values.
+/// Changes of the outputs along directions of the vertices, the flow and the reference values.
 #[utoipa::path(
     post, path = "/v1/configurations/{configuration_id}/jvp", operation_id = "ApplyJacobianVector", tag = "analyses",
     params(("configuration_id" = String, Path), FlowQuery),
     request_body(content(
-        (Jvp = "application/json"), (media::Binary = "application/x-npy"),
+        (v1::PanelServiceApplyJacobianVectorRequest = "application/json"), (media::Binary = "application/x-npy"),
         (media::Binary = "application/x-npz"), (media::Binary = "application/octet-stream"),
     ), description = "Arrays: `vertices`, `alpha`, `sideslip`, `mach`, `area`, `chord`, `point`, `at.vertices`."),
     responses(
@@ -168,33 +169,35 @@ pub async fn analyze(
             (v1::PanelServiceApplyJacobianVectorResponse = "application/json"), (media::Binary = "application/x-npy"),
             (media::Binary = "application/x-npz"), (media::Binary = "application/octet-stream"),
         )),
-        (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
+        Errors,
     )
 )]
 pub async fn apply_jacobian_vector(
     State(http): State<Http>,
     Caller(caller): Caller,
-    Id(id): Id,
+    Id(configuration_id): Id,
     Query(query): Query<FlowQuery>,
     headers: HeaderMap,
     body: Body,
 ) -> Answer<Response> {
     let media = Media::accepted(&headers, &ARRAYS)?;
     let request = match http.bodies.numbers(&headers, body, "vertices", query.shape.as_deref()).await? {
-        Sent::Document(document) => Jvp::message(document, id),
-        Sent::Arrays(arrays) => query.jvp(arrays, id)?,
+        Sent::Document(document) => {
+            v1::PanelServiceApplyJacobianVectorRequest { configuration_id, ..document }
+        }
+        Sent::Arrays(arrays) => query.jvp(arrays, configuration_id)?,
     };
-    http.panels.apply_jacobian_vector(&caller, request).await?.respond(media)
+    http.api.apply_jacobian_vector(&caller, request).await?.respond(media)
 }
 
 /// Vector-Jacobian products: gradients
 ///
-/// Gradients of weighted sums of the outputs by the vertices, by flow and reference values.
+/// Gradients of weighted sums of the outputs with respect to the vertices, the flow and the reference values.
 #[utoipa::path(
     post, path = "/v1/configurations/{configuration_id}/vjp", operation_id = "ApplyAdjoint", tag = "analyses",
     params(("configuration_id" = String, Path), FlowQuery),
     request_body(content(
-        (Vjp = "application/json"), (media::Binary = "application/x-npy"),
+        (v1::PanelServiceApplyAdjointRequest = "application/json"), (media::Binary = "application/x-npy"),
         (media::Binary = "application/x-npz"), (media::Binary = "application/octet-stream"),
     ), description = "Arrays: `coefficients`, `section_loads`, `cp`, `at.vertices`."),
     responses(
@@ -202,21 +205,21 @@ pub async fn apply_jacobian_vector(
             (v1::PanelServiceApplyAdjointResponse = "application/json"), (media::Binary = "application/x-npy"),
             (media::Binary = "application/x-npz"), (media::Binary = "application/octet-stream"),
         )),
-        (status = "default", description = "An error.", body = Problem, content_type = "application/problem+json"),
+        Errors,
     )
 )]
 pub async fn apply_adjoint(
     State(http): State<Http>,
     Caller(caller): Caller,
-    Id(id): Id,
+    Id(configuration_id): Id,
     Query(query): Query<FlowQuery>,
     headers: HeaderMap,
     body: Body,
 ) -> Answer<Response> {
     let media = Media::accepted(&headers, &ARRAYS)?;
     let request = match http.bodies.numbers(&headers, body, "coefficients", query.shape.as_deref()).await? {
-        Sent::Document(document) => Vjp::message(document, id),
-        Sent::Arrays(arrays) => query.vjp(arrays, id)?,
+        Sent::Document(document) => v1::PanelServiceApplyAdjointRequest { configuration_id, ..document },
+        Sent::Arrays(arrays) => query.vjp(arrays, configuration_id)?,
     };
-    http.panels.apply_adjoint(&caller, request).await?.respond(media)
+    http.api.apply_adjoint(&caller, request).await?.respond(media)
 }

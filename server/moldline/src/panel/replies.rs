@@ -1,4 +1,4 @@
-//! Which arrays answers have.
+//! The arrays and headers of the panel method's answers.
 
 use moldline_proto::v1::{self, Array};
 

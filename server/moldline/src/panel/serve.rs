@@ -2,20 +2,49 @@
 
 use std::sync::Arc;
 
+use clap::Args;
 use metrics::gauge;
 use moldline_panel_service::{PanelService, Status};
 use moldline_service::ComputePool;
 use moldline_transport::{Gauges, Served};
 
-use super::{Panels, grpc, http};
+use super::{api::PanelApi, grpc, http};
 use crate::{
-    config::PanelServe,
-    serve::tell_cache,
-    shell::{self, Parts, ServeError},
+    failure::Failure,
+    serve::record_cache,
+    shell::{self, ComputeOptions, ListenOptions, Parts, ServeError},
 };
 
-/// Serves until asked to stop, then finishes what runs.
-pub fn run(options: &PanelServe) -> Result<(), crate::local::Failure> {
+/// Options of `moldline panel serve`.
+#[derive(Debug, Args)]
+pub struct PanelServeOptions {
+    /// The port.
+    #[command(flatten)]
+    pub listen: ListenOptions,
+    /// The compute pool.
+    #[command(flatten)]
+    pub compute: ComputeOptions,
+    /// Memory of all analyses, MiB, including those in progress; an analysis that needs more is refused
+    #[arg(long, env = "MOLDLINE_ANALYSIS_MEMORY", default_value_t = 4096, value_name = "MIB")]
+    pub analysis_memory: u64,
+    /// Memory of all configurations, MiB
+    #[arg(long, env = "MOLDLINE_CONFIGURATION_MEMORY", default_value_t = 512, value_name = "MIB")]
+    pub configuration_memory: u64,
+}
+
+impl PanelServeOptions {
+    /// Limits of the service.
+    pub fn limits(&self) -> moldline_panel_service::Limits {
+        moldline_panel_service::Limits {
+            solution_bytes: self.analysis_memory.saturating_mul(1 << 20),
+            configuration_bytes: self.configuration_memory.saturating_mul(1 << 20),
+            ..Default::default()
+        }
+    }
+}
+
+/// Serves until the process is asked to stop, then lets running requests finish.
+pub(crate) fn run(options: &PanelServeOptions) -> Result<(), Failure> {
     let pool = options.compute.pool();
     let compute = ComputePool::new(pool, options.compute.tenant_load).map_err(ServeError::from)?;
     let service = Arc::new(PanelService::new(Arc::new(compute), options.limits()));
@@ -28,15 +57,18 @@ pub fn run(options: &PanelServe) -> Result<(), crate::local::Failure> {
     Ok(outcome?)
 }
 
-/// The panel service as the shell takes it.
+/// The panel service on its routes. Messages may have `max_message` bytes.
+///
+/// # Errors
+/// If the descriptors of gRPC reflection cannot be loaded.
 pub async fn parts(service: Arc<PanelService>, max_message: usize) -> Result<Parts, ServeError> {
-    let panels = Panels::new(Arc::clone(&service));
-    let (grpc, open, health) = grpc::routes(panels.clone(), max_message).await?;
-    let http = http::routes(panels, max_message);
+    let api = PanelApi::new(Arc::clone(&service));
+    let (grpc, open, health) = grpc::routes(api.clone(), max_message).await?;
+    let http = http::routes(api, max_message);
     let gauges: Gauges = {
         let service = Arc::clone(&service);
         Arc::new(move || {
-            tell(&service.status());
+            record(&service.status());
             Box::pin(std::future::ready(()))
         })
     };
@@ -44,13 +76,13 @@ pub async fn parts(service: Arc<PanelService>, max_message: usize) -> Result<Par
     Ok(Parts { served: Served { http, grpc, open }, health, gauges, load })
 }
 
-/// Load and memory, for /metrics.
-fn tell(status: &Status) {
+/// Records load and memory for /metrics.
+fn record(status: &Status) {
     gauge!("moldline_uptime_seconds").set(status.uptime.as_secs_f64());
     gauge!("moldline_compute_running").set(status.running as f64);
     gauge!("moldline_compute_running_limit").set(status.pool.running as f64);
     gauge!("moldline_compute_queued").set(status.queued as f64);
     gauge!("moldline_compute_queued_limit").set(status.pool.queued as f64);
-    tell_cache("configurations", &status.configurations);
-    tell_cache("analyses", &status.solutions);
+    record_cache("configurations", &status.configurations);
+    record_cache("analyses", &status.solutions);
 }

@@ -8,7 +8,7 @@ use moldline_panel::{
     TrailingEdges,
 };
 
-use crate::meshes::{Random, Wing, partly_triangles};
+use moldline_testing::{Random, Wing, partly_triangles};
 
 /// A small swept, tapered wing with dihedral-like warping, of quads and triangles.
 pub fn wing(half: bool, triangles: bool) -> SurfaceMesh {
@@ -79,18 +79,18 @@ impl Case {
     fn random_direction(&self, random: &mut Random) -> Inputs {
         Inputs {
             vertices: random.vectors(self.vertices.len()),
-            alpha: random.next(),
-            sideslip: if self.setup.summary().symmetric { 0.0 } else { random.next() },
-            mach: random.next(),
-            area: random.next(),
-            chord: random.next(),
-            point: [random.next(), random.next(), random.next()],
+            alpha: random.signed(),
+            sideslip: if self.setup.summary().symmetric { 0.0 } else { random.signed() },
+            mach: random.signed(),
+            area: random.signed(),
+            chord: random.signed(),
+            point: [random.signed(), random.signed(), random.signed()],
         }
     }
 
     fn random_seed(&self, random: &mut Random, solution: &Solution) -> Outputs {
         let analysis = solution.analyse(&self.flow).unwrap();
-        let mut list = |n: usize| (0..n).map(|_| random.next()).collect::<Vec<f64>>();
+        let mut list = |n: usize| (0..n).map(|_| random.signed()).collect::<Vec<f64>>();
         Outputs {
             sections: list(analysis.sections.len()),
             cp: list(analysis.cp.len()),

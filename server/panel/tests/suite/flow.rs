@@ -2,7 +2,7 @@
 
 use moldline_panel::{Flow, NoMonitor, Options, PanelSetup, Reference, Symmetry, TrailingEdges};
 
-use crate::meshes::{Wing, sphere};
+use moldline_testing::{Wing, sphere};
 
 pub fn flow(alpha_degrees: f64, area: f64) -> Flow {
     Flow {

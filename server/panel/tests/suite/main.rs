@@ -1,10 +1,9 @@
-//! Against closed forms, published results, differences, dual numbers, and with bad input.
+//! Tests against closed forms, published results, differences and dual numbers, and with bad input.
 
 #![allow(clippy::unwrap_used, reason = "helpers of tests may panic")]
 
 mod derivatives;
 mod dual;
 mod flow;
-mod meshes;
 mod refusals;
 mod solvers;

@@ -5,12 +5,10 @@ use moldline_panel::{
     Inputs, Monitor, NoMonitor, Options, Outputs, PanelError, PanelSetup, Solver, Stage, Symmetry,
     TrailingEdges,
 };
+use moldline_testing::{Builder, sphere};
 use std::sync::Arc;
 
-use crate::{
-    derivatives::{flow, wing},
-    meshes::{Builder, sphere},
-};
+use crate::derivatives::{flow, wing};
 
 fn refused(mesh: &SurfaceMesh, options: Options) -> PanelError {
     PanelSetup::new(mesh, options).err().unwrap()

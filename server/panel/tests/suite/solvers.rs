@@ -4,7 +4,9 @@ use std::sync::Arc;
 
 use moldline_panel::{Analysis, NoMonitor, Options, Outputs, PanelSetup, Scalars, Solution, Solver};
 
-use crate::{flow::flow, meshes::Wing};
+use moldline_testing::Wing;
+
+use crate::flow::flow;
 
 /// More unknowns than one block of the preconditioner has.
 fn solution(solver: Solver, tolerance: f64) -> Arc<Solution> {

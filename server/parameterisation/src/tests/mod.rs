@@ -6,6 +6,7 @@ mod refusals;
 
 use crate::testing::{box_body, tapered_wing};
 use crate::*;
+use moldline_testing::Random;
 
 fn variable(name: &str, shape: &[usize], unit: Unit) -> VariableDeclaration {
     VariableDeclaration {
@@ -161,13 +162,8 @@ fn everything() -> Parameterisation {
 
 /// A deterministic sequence of numbers in -1..1.
 fn noise(seed: u64) -> impl FnMut() -> f64 {
-    let mut state = seed.wrapping_mul(0x9E37_79B9_7F4A_7C15) | 1;
-    move || {
-        state ^= state << 13;
-        state ^= state >> 7;
-        state ^= state << 17;
-        (state >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
-    }
+    let mut random = Random::new(seed);
+    move || random.signed()
 }
 
 /// A design some way from the baseline: angles in degrees, lengths in feet and so on make one size fit all, except

@@ -8,10 +8,10 @@ use crate::io::{
     cursor::{Cursor, line_of},
 };
 
-/// No byte of a file stands for more than this many of an array: the limit of deflate is 1032.
+/// Largest ratio of an array's bytes to those of the file: the limit of deflate is 1032.
 pub(super) const MOST_PER_BYTE: usize = 1040;
 
-/// A `DataArray`'s head, and its text if the data follow it.
+/// A `DataArray`'s tag, and its text if the data are inline.
 pub(super) struct ArrayTag<'a> {
     kind: Cow<'a, str>,
     format: Format<'a>,
@@ -39,7 +39,7 @@ impl<'a> ArrayTag<'a> {
     }
 }
 
-/// What holds for all arrays of a file.
+/// Properties of all arrays of a file.
 pub(super) struct File<'a> {
     pub(super) bytes: &'a [u8],
     little_endian: bool,
@@ -93,7 +93,7 @@ impl<'a> File<'a> {
         }
     }
 
-    /// Where an array's head is.
+    /// The position of an array's tag.
     pub(super) fn place(&self, array: &ArrayTag<'_>) -> Place {
         line_of(self.bytes, array.start)
     }
@@ -110,7 +110,7 @@ impl<'a> File<'a> {
         })
     }
 
-    /// `count` integers of any type; those too large for `i64` wrap to negative ones, which nothing accepts.
+    /// `count` integers of any type; those too large for `i64` wrap to negative ones, which every caller rejects.
     pub(super) fn integers(&self, array: &ArrayTag<'a>, count: usize) -> Result<Vec<i64>, ReadError> {
         if let Format::Ascii { text } = array.format {
             return self.words(array, text, count);
@@ -142,7 +142,7 @@ impl<'a> File<'a> {
         if count > room {
             return Err(self.wrong_length(array, count, room));
         }
-        // The cursor counts lines from the head of the array.
+        // The cursor counts lines from the tag of the array.
         let first = || match self.place(array) {
             Place::Line(line) | Place::Byte(line) => line,
         };
@@ -216,7 +216,7 @@ impl<'a> File<'a> {
         source.take(expected).ok_or_else(|| self.truncated(array))
     }
 
-    /// Blocks of one size, of which the last may be shorter, each compressed for itself.
+    /// Blocks of equal size, of which the last may be shorter, each compressed separately.
     fn inflate(
         &self,
         array: &ArrayTag<'_>,
@@ -241,7 +241,7 @@ impl<'a> File<'a> {
             let compressed = compressed.ok_or_else(|| self.truncated(array))?;
             let due = if block == full { last } else { size };
             let before = out.len();
-            // One byte more than due is enough to see that there is too much.
+            // One byte too many is enough to see that there is too much.
             let inflated =
                 flate2::read::ZlibDecoder::new(&compressed[..]).take(due + 1).read_to_end(&mut out);
             if inflated.is_err() || (out.len() - before) as u64 != due {
@@ -289,7 +289,7 @@ impl<'a> Source<'a> {
         Self::Base64 { text, ready: Vec::new() }
     }
 
-    /// No more bytes than this can follow.
+    /// An upper bound on the remaining bytes.
     fn room(&self) -> usize {
         match self {
             Self::Raw(bytes) => bytes.len(),

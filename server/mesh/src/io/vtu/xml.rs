@@ -1,5 +1,5 @@
-//! As much XML as VTK writes: tags with attributes. Not strict, since VTK is not either: it writes `<` and `&` into
-//! attributes as they are, and raw bytes after `AppendedData`.
+//! The subset of XML that VTK writes: tags with attributes. Not strict, since VTK is not either: it writes `<` and `&` into
+//! attributes unescaped, and raw bytes after `AppendedData`.
 
 use std::{borrow::Cow, str::FromStr};
 
@@ -9,9 +9,9 @@ pub(super) struct Tag<'a> {
     pub(super) name: &'a str,
     attributes: Vec<(&'a str, &'a str)>,
     bytes: &'a [u8],
-    /// Where its `<` is.
+    /// Position of its `<`.
     pub(super) start: usize,
-    /// Behind its `>`.
+    /// Position after its `>`.
     pub(super) end: usize,
     /// `</name>`
     pub(super) closing: bool,
@@ -38,7 +38,7 @@ impl<'a> Tag<'a> {
         value.trim().parse().map(Some).map_err(|_| wrong())
     }
 
-    /// An attribute that is a number and must be there.
+    /// A required attribute that is a number.
     pub(super) fn required<T: FromStr>(&self, name: &'static str) -> Result<T, ReadError> {
         self.number(name)?.ok_or_else(|| self.without(name))
     }

@@ -1,0 +1,133 @@
+//! `moldline deform`: a deformation on local files, without a server: the same input, the same bits.
+
+use std::{collections::BTreeMap, path::PathBuf};
+
+use clap::Args;
+use moldline_deform::{Deformation, Setup};
+use moldline_mesh::{
+    CellQuality, SurfaceMesh,
+    io::vtu::{self, Array, Values},
+};
+
+use crate::{
+    failure::Failure,
+    local::{self, Source},
+    output::{say, write},
+};
+
+/// Options of `moldline deform`.
+#[derive(Debug, Args)]
+pub struct DeformOptions {
+    /// The set-up.
+    #[command(flatten)]
+    pub source: Source,
+    /// Value of a design variable; those not named stay at their baseline
+    #[arg(long, value_name = "NAME=VALUE", value_parser = assignment, allow_hyphen_values = true)]
+    pub design: Vec<(String, f64)>,
+    /// File with the design as JSON: an object of names and values, or an array of all values in order
+    #[arg(long, value_name = "FILE", conflicts_with = "design")]
+    pub design_file: Option<PathBuf>,
+    /// VTU file to write
+    #[arg(long, short, value_name = "FILE")]
+    pub output: PathBuf,
+    /// Write design and quality to this JSON file
+    #[arg(long, value_name = "FILE")]
+    pub report: Option<PathBuf>,
+}
+
+fn assignment(text: &str) -> Result<(String, f64), String> {
+    let (name, value) = text.split_once('=').ok_or("expected NAME=VALUE")?;
+    let value = value.trim().parse().map_err(|_| format!("`{value}` is not a number"))?;
+    Ok((name.trim().to_owned(), value))
+}
+
+/// `moldline deform`
+pub fn run(options: &DeformOptions) -> Result<(), Failure> {
+    let pool = local::pool(&options.source)?;
+    let setup = pool.install(|| local::build(&options.source))?;
+    let design = design(options, &setup)?;
+    let deformation = pool.install(|| local::with_bar(|monitor| setup.deform(&design, monitor)))?;
+
+    write(&options.output, &vtu_of(&setup, &deformation))?;
+    say(&deformation.quality)?;
+    say(&format_args!("wrote {}", options.output.display()))?;
+    if let Some(path) = &options.report {
+        let report = report(&setup, &design, &deformation);
+        write(path, format!("{report:#}\n").as_bytes())?;
+        say(&format_args!("wrote {}", path.display()))?;
+    }
+    Ok(())
+}
+
+/// Design and quality, beside the quality of the reference mesh.
+fn report(setup: &Setup, design: &[f64], deformation: &Deformation) -> serde_json::Value {
+    let values: BTreeMap<_, _> = setup
+        .parameterisation()
+        .variables()
+        .iter()
+        .zip(design)
+        .map(|(variable, value)| (&variable.name, value))
+        .collect();
+    serde_json::json!({
+        "design": values,
+        "quality": moldline_setup::quality_json(&deformation.quality),
+        "reference_quality": moldline_setup::quality_json(&setup.report().quality),
+        "seam_residual": deformation.seam_residual,
+        "held_residual": deformation.held_residual,
+        "projection_residual": deformation.projection_residual,
+        "projection_steps": deformation.projection_steps,
+    })
+}
+
+/// The design of the options, every variable in order.
+fn design(options: &DeformOptions, setup: &Setup) -> Result<Vec<f64>, Failure> {
+    match &options.design_file {
+        Some(path) => local::design_file(path, setup),
+        None => local::named(setup, options.design.iter().map(|(name, value)| (name.as_str(), *value))),
+    }
+}
+
+/// The deformed mesh with its owner, seams and measures, for ParaView.
+fn vtu_of(setup: &Setup, deformation: &Deformation) -> Vec<u8> {
+    let reference = setup.mesh();
+    let mesh = SurfaceMesh { vertices: deformation.vertices.clone(), ..reference.clone() };
+    let mut seam = vec![0_u8; mesh.vertices.len()];
+    for vertex in setup.seam_vertices() {
+        seam[vertex as usize] = 1;
+    }
+    let moved = deformation.vertices.iter().zip(&reference.vertices);
+    let displacement: Vec<f64> =
+        moved.flat_map(|(to, from)| [0, 1, 2].map(|axis| to[axis] - from[axis])).collect();
+    let owner: Vec<i32> = setup.cell_owner().iter().map(|&owner| owner as i32).collect();
+    let measure = |of: fn(&CellQuality) -> f64| deformation.cell_quality.iter().map(of).collect::<Vec<_>>();
+    let measures = [
+        ("aspect_ratio", measure(|cell| cell.aspect_ratio)),
+        ("edge_ratio", measure(|cell| cell.edge_ratio)),
+        ("scaled_jacobian", measure(|cell| cell.scaled_jacobian)),
+        ("skew", measure(|cell| cell.skew)),
+    ];
+    let mut cell_data = vec![Array { name: "owner", components: 1, values: Values::Int32(&owner) }];
+    cell_data.extend(measures.iter().map(|(name, values)| Array {
+        name,
+        components: 1,
+        values: Values::Float64(values),
+    }));
+    let point_data = [
+        Array { name: "seam", components: 1, values: Values::UInt8(&seam) },
+        Array { name: "displacement", components: 3, values: Values::Float64(&displacement) },
+    ];
+    vtu::write(&mesh, &point_data, &cell_data)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn assignments_are_read_with_their_sign() {
+        assert_eq!(assignment("wing.translation=-5").unwrap(), ("wing.translation".to_owned(), -5.0));
+        assert_eq!(assignment("wing.twist[3] = 0.5").unwrap(), ("wing.twist[3]".to_owned(), 0.5));
+        assert!(assignment("wing.translation").is_err());
+        assert!(assignment("wing.translation=far").is_err());
+    }
+}

@@ -1,0 +1,230 @@
+//! `moldline panel analyze`: the panel method on a local mesh, without a server: the same input, the same bits.
+
+use std::{
+    fs, io,
+    num::NonZeroUsize,
+    path::{Path, PathBuf},
+};
+
+use clap::Args;
+use moldline_mesh::{
+    Limits, SurfaceMesh,
+    io::{ReadError, msh, stl, vtu},
+};
+use moldline_panel::{
+    Analysis, Flow, Loads, Options, PanelSetup, Reference, Scalars, Solver, Symmetry, TrailingEdges,
+};
+use moldline_panel_service::{refused, reporter};
+use moldline_service::Cancellation;
+use serde_json::{Value, json};
+
+use super::choices::{SOLVERS, SYMMETRIES, words};
+use crate::{
+    bar::Bar,
+    cli,
+    failure::Failure,
+    output::{say, write},
+};
+
+/// Options of `moldline panel analyze`.
+#[derive(Debug, Args)]
+pub struct AnalyzeOptions {
+    /// Mesh file: .msh, .vtu or .stl
+    pub mesh: PathBuf,
+    /// Mach number
+    #[arg(long, default_value_t = 0.0)]
+    pub mach: f64,
+    /// Angles of attack, degrees
+    #[arg(long, value_delimiter = ',', default_value = "0", allow_hyphen_values = true)]
+    pub alpha: Vec<f64>,
+    /// Sideslip, degrees
+    #[arg(long, default_value_t = 0.0, allow_hyphen_values = true)]
+    pub sideslip: f64,
+    /// Reference area, m^2
+    #[arg(long)]
+    pub area: f64,
+    /// Reference chord of the pitching moment, m
+    #[arg(long)]
+    pub chord: f64,
+    /// Reference span of the rolling and yawing moments, m
+    #[arg(long)]
+    pub span: f64,
+    /// Reference point of the moments, m
+    #[arg(long, value_name = "X,Y,Z", value_parser = point, default_value = "0,0,0", allow_hyphen_values = true)]
+    pub point: [f64; 3],
+    /// Vertex group of a trailing edge; may be given several times
+    #[arg(long, value_name = "GROUP", conflicts_with_all = ["trailing_edge_angle", "no_trailing_edges"])]
+    pub trailing_edge: Vec<String>,
+    /// Trailing edges are edges across which the surface turns by at least so many degrees
+    #[arg(long, value_name = "DEGREES", default_value_t = 120.0)]
+    pub trailing_edge_angle: f64,
+    /// The body has no trailing edges, and so no lift
+    #[arg(long, conflicts_with = "trailing_edge_angle")]
+    pub no_trailing_edges: bool,
+    /// Symmetry about the plane y = 0
+    #[arg(long, default_value = "automatic", value_parser = words(&SYMMETRIES))]
+    pub symmetry: Symmetry,
+    /// Solver of the linear system
+    #[arg(long, default_value = "automatic", value_parser = words(&SOLVERS))]
+    pub solver: Solver,
+    /// Memory limit, MiB
+    #[arg(long, default_value_t = 4096, value_name = "MIB")]
+    pub memory: u64,
+    /// Compute threads; results do not depend on their number [default: one per core]
+    #[arg(long, env = "MOLDLINE_THREADS")]
+    pub threads: Option<NonZeroUsize>,
+    /// Write the mesh with its pressure coefficients at every angle to this VTU file
+    #[arg(long, short, value_name = "FILE")]
+    pub output: Option<PathBuf>,
+    /// Write all coefficients and loads to this JSON file
+    #[arg(long, value_name = "FILE")]
+    pub report: Option<PathBuf>,
+}
+
+fn point(text: &str) -> Result<[f64; 3], String> {
+    let numbers: Result<Vec<f64>, _> = text.split(',').map(|number| number.trim().parse()).collect();
+    let numbers = numbers.map_err(|error| format!("{error}"))?;
+    numbers.try_into().map_err(|_| "expected X,Y,Z".to_owned())
+}
+
+/// `moldline panel analyze`
+pub fn run(options: &AnalyzeOptions) -> Result<(), Failure> {
+    let mesh = read(&options.mesh)?;
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(cli::threads(options.threads)).build()?;
+    let setup = pool.install(|| PanelSetup::new(&mesh, choices(options))).map_err(refused)?;
+    let summary = setup.summary();
+    let symmetric = if summary.symmetric { ", one half for both" } else { "" };
+    let edges = summary.trailing_edges.len();
+    say(&format_args!(
+        "{} unknowns{symmetric}, {edges} trailing edges, {} MiB",
+        summary.unknowns,
+        summary.memory >> 20
+    ))?;
+    let reference =
+        Reference { area: options.area, chord: options.chord, span: options.span, point: options.point };
+    let sideslip = options.sideslip.to_radians();
+    let flows: Vec<Flow> =
+        options.alpha.iter().map(|alpha| Flow { alpha: alpha.to_radians(), sideslip, reference }).collect();
+    let analyses: Vec<Analysis> = pool.install(|| {
+        let bar = Bar::new();
+        let monitor = reporter(Cancellation::default(), |progress| bar.show(&progress));
+        let solution = setup.solve(&mesh.vertices, options.mach, &monitor).map_err(refused)?;
+        flows.iter().map(|flow| solution.analyse(flow).map_err(refused)).collect::<Result<_, _>>()
+    })?;
+    for (alpha, analysis) in options.alpha.iter().zip(&analyses) {
+        tell(*alpha, analysis)?;
+    }
+    if let Some(path) = &options.output {
+        write(path, &vtu_of(&mesh, &options.alpha, &analyses))?;
+        say(&format_args!("wrote {}", path.display()))?;
+    }
+    if let Some(path) = &options.report {
+        let analyses: Vec<Value> =
+            options.alpha.iter().zip(&analyses).map(|(alpha, a)| report(*alpha, a)).collect();
+        let report = json!({
+            "mach": options.mach,
+            "unknowns": summary.unknowns,
+            "symmetric": summary.symmetric,
+            "trailing_edges": summary.trailing_edges,
+            "analyses": analyses,
+        });
+        write(path, format!("{report:#}\n").as_bytes())?;
+        say(&format_args!("wrote {}", path.display()))?;
+    }
+    Ok(())
+}
+
+fn choices(options: &AnalyzeOptions) -> Options {
+    Options {
+        symmetry: options.symmetry,
+        trailing_edges: if options.no_trailing_edges {
+            TrailingEdges::None
+        } else if options.trailing_edge.is_empty() {
+            TrailingEdges::Angle { degrees: options.trailing_edge_angle }
+        } else {
+            TrailingEdges::Groups(options.trailing_edge.clone())
+        },
+        solver: options.solver,
+        memory_limit: options.memory.saturating_mul(1 << 20),
+        ..Options::default()
+    }
+}
+
+fn read(path: &Path) -> Result<SurfaceMesh, Failure> {
+    let failed = |error: io::Error| Failure::File { path: path.to_owned(), error };
+    let bytes = fs::read(path).map_err(failed)?;
+    let limits = Limits::default();
+    let kind = path.extension().and_then(|kind| kind.to_str()).unwrap_or_default().to_ascii_lowercase();
+    let read = match kind.as_str() {
+        "msh" => msh::read(&bytes, &limits),
+        "vtu" => vtu::read(&bytes, &limits),
+        "stl" => stl::read(&bytes, 0.0, &limits),
+        _ => return Err(failed(io::Error::other("is not a .msh, .vtu or .stl file"))),
+    };
+    read.map(|imported| imported.mesh).map_err(|error: ReadError| failed(io::Error::other(error.to_string())))
+}
+
+fn tell(alpha: f64, analysis: &Analysis) -> Result<(), Failure> {
+    say(&format_args!(
+        "\nalpha {alpha} deg (residual {:.1e} after {} rounds, lifts off by {:+.2} %)",
+        analysis.residual,
+        analysis.rounds,
+        100.0 * analysis.disagreement
+    ))?;
+    for (name, value) in Scalars::NAMES.iter().zip(analysis.scalars.to_array()) {
+        say(&format_args!("  {name:<20} {value:>12.6}"))?;
+    }
+    say(&format_args!("  {:<20} {:>12.6}", "wake_lift", analysis.wake_lift))?;
+    say(&format_args!("  {:<20} {:>12} {:>12} {:>12}", "part", "lift", "drag", "moment"))?;
+    for part in std::iter::once(&analysis.total).chain(&analysis.components) {
+        let Loads { name, lift, drag, moment, .. } = part;
+        say(&format_args!("  {name:<20} {lift:>12.6} {drag:>12.6} {:>12.6}", moment[1]))?;
+    }
+    if analysis.supercritical_cells > 0 {
+        say(&format_args!("  {} cells beyond the critical pressure", analysis.supercritical_cells))?;
+    }
+    Ok(())
+}
+
+fn report(alpha: f64, analysis: &Analysis) -> Value {
+    let scalars: serde_json::Map<String, Value> = Scalars::NAMES
+        .iter()
+        .map(|name| name.to_string())
+        .zip(analysis.scalars.to_array().map(Value::from))
+        .collect();
+    let part = |Loads { name, force, moment, lift, drag }: &Loads| json!({ "name": name, "force": force, "moment": moment, "lift": lift, "drag": drag });
+    let sections = analysis.sections.iter().map(|section| {
+        json!({ "edge": section.edge, "middle": section.middle, "span": section.span, "load": section.load })
+    });
+    json!({
+        "alpha": alpha,
+        "coefficients": scalars,
+        "wake_lift": analysis.wake_lift,
+        "disagreement": analysis.disagreement,
+        "total": part(&analysis.total),
+        "components": analysis.components.iter().map(part).collect::<Vec<_>>(),
+        "sections": sections.collect::<Vec<_>>(),
+        "supercritical_cells": analysis.supercritical_cells,
+        "residual": analysis.residual,
+        "rounds": analysis.rounds,
+    })
+}
+
+/// The mesh with its pressures, for ParaView.
+fn vtu_of(mesh: &SurfaceMesh, alphas: &[f64], analyses: &[Analysis]) -> Vec<u8> {
+    let names: Vec<String> = match alphas {
+        [_] => vec!["cp".to_owned()],
+        _ => alphas.iter().map(|alpha| format!("cp at {alpha} deg")).collect(),
+    };
+    let arrays = |of: fn(&Analysis) -> &[f64]| -> Vec<vtu::Array<'_>> {
+        let named = names.iter().zip(analyses);
+        named
+            .map(|(name, analysis)| vtu::Array {
+                name,
+                components: 1,
+                values: vtu::Values::Float64(of(analysis)),
+            })
+            .collect()
+    };
+    vtu::write(mesh, &arrays(|a| &a.vertex_cp), &arrays(|a| &a.cp))
+}

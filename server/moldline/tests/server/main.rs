@@ -1,0 +1,7 @@
+//! The services on real ports, with plain clients over loopback.
+
+mod access;
+mod grpc;
+mod harness;
+mod http;
+mod panel;

@@ -1,0 +1,136 @@
+//! The set-up of a mesh: all decisions that hold for any positions of its vertices.
+
+use moldline_mesh::SurfaceMesh;
+
+use crate::{
+    Options, PanelError, Solver,
+    bounds::within,
+    gradient::Stencils,
+    panels::Panels,
+    trefftz::Trace,
+    wake::{Beside, Wakes},
+};
+
+/// A named part of the surface.
+#[derive(Clone, Debug)]
+pub(crate) struct Component {
+    pub name: String,
+    /// Its panels, and the panels whose images belong to it.
+    pub own: Vec<u32>,
+    pub mirrored: Vec<u32>,
+}
+
+/// A mesh whose panels, trailing edges, wakes and stencils are known. Immutable; serves any positions of its vertices.
+#[derive(Clone, Debug)]
+pub struct PanelSetup {
+    pub(crate) panels: Panels,
+    pub(crate) wakes: Wakes,
+    pub(crate) stencils: Stencils,
+    pub(crate) trace: Trace,
+    pub(crate) components: Vec<Component>,
+    pub(crate) options: Options,
+    /// Cells at each mesh vertex, over which its pressure is averaged.
+    pub(crate) vertex_cells: moldline_mesh::Csr,
+}
+
+/// The decisions of a set-up.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SetupSummary {
+    /// Number of unknowns.
+    pub unknowns: usize,
+    /// Whether one half is solved for both.
+    pub symmetric: bool,
+    /// Trailing edges, as mesh vertices, along each line; of the solved half.
+    pub trailing_edges: Vec<[u32; 2]>,
+    /// Vertices where a trailing edge ends on a body, over which its circulation goes on.
+    pub roots: Vec<u32>,
+    /// How the system is solved.
+    pub solver: Solver,
+    /// Bytes that a solution needs.
+    pub memory: u64,
+}
+
+impl PanelSetup {
+    /// Checks the mesh, picks the half that is solved, and finds trailing edges and wakes.
+    ///
+    /// # Errors
+    /// [`PanelError`] for meshes that are open, not oriented, without trailing edges, too large for the memory allowed, ...
+    pub fn new(mesh: &SurfaceMesh, options: Options) -> Result<Self, PanelError> {
+        within("options.tolerance", options.tolerance, 1e-14, 1e-4)?;
+        let panels = Panels::new(mesh, options.symmetry)?;
+        let needed = memory(panels.len(), panels.vertex_of.len(), options.solver);
+        if needed > options.memory_limit {
+            return Err(PanelError::Memory {
+                unknowns: panels.len(),
+                needed,
+                limit: options.memory_limit,
+                advice: "send a coarser mesh, one half of a symmetric one, or raise the limit",
+            });
+        }
+        let wakes = Wakes::new(mesh, &panels, &options.trailing_edges)?;
+        let stencils = Stencils::new(&panels, &wakes);
+        let trace = Trace::new(&panels, &wakes);
+        let components = components(mesh, &panels, &options)?;
+        let vertex_cells = moldline_mesh::Topology::new(mesh).vertex_cells;
+        let setup = Self { panels, wakes, stencils, trace, components, options, vertex_cells };
+        Ok(setup)
+    }
+
+    /// The decisions of the set-up.
+    pub fn summary(&self) -> SetupSummary {
+        let vertex = |point: u32| self.panels.vertex_of[point as usize];
+        let roots = self.wakes.strips.iter().flat_map(|s| {
+            let ends = [s.a, s.b].into_iter().zip(s.beside);
+            ends.filter(|(_, beside)| matches!(beside, Beside::Body(_))).map(|(point, _)| vertex(point))
+        });
+        SetupSummary {
+            unknowns: self.panels.len(),
+            symmetric: self.panels.symmetric,
+            trailing_edges: self.wakes.strips.iter().map(|s| [vertex(s.a), vertex(s.b)]).collect(),
+            roots: roots.collect(),
+            solver: self.options.solver.resolve(self.panels.len()),
+            memory: memory(self.panels.len(), self.panels.vertex_of.len(), self.options.solver),
+        }
+    }
+
+    /// Names of the components whose forces are reported.
+    pub fn component_names(&self) -> impl Iterator<Item = &str> {
+        self.components.iter().map(|c| c.name.as_str())
+    }
+}
+
+/// Bytes that a solution needs at its peak: matrix and factors, and what six adjoints gather from the pairs.
+fn memory(unknowns: usize, points: usize, solver: Solver) -> u64 {
+    solver.bytes(unknowns) + 8 * (unknowns as u64 * 600 + points as u64 * 200)
+}
+
+/// An estimate of the bytes that a solution of so many unknowns needs at its peak.
+pub fn memory_estimate(unknowns: usize, solver: Solver) -> u64 {
+    memory(unknowns, unknowns, solver)
+}
+
+fn components(mesh: &SurfaceMesh, panels: &Panels, options: &Options) -> Result<Vec<Component>, PanelError> {
+    let names: Vec<String> = match &options.components {
+        Some(names) => names.clone(),
+        None => mesh.cell_groups.iter().map(|g| g.name.clone()).collect(),
+    };
+    let mut components = Vec::with_capacity(names.len());
+    for (index, name) in names.into_iter().enumerate() {
+        let group = mesh.cell_group(&name).ok_or_else(|| PanelError::UnknownGroup {
+            field: format!("components[{index}]"),
+            name: name.clone(),
+            known: mesh.cell_groups.iter().map(|g| g.name.clone()).collect(),
+        })?;
+        let (mut own, mut mirrored) = (Vec::new(), Vec::new());
+        for &cell in &group.indices {
+            let (panel, image) = panels.panel_of[cell as usize];
+            if image { mirrored.push(panel) } else { own.push(panel) }
+        }
+        // A half model stands for both halves.
+        if panels.symmetric && panels.partner.is_none() {
+            mirrored.clone_from(&own);
+        }
+        components.push(Component { name, own, mirrored });
+    }
+    Ok(components)
+}
