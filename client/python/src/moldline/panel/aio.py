@@ -97,7 +97,7 @@ class Configuration(ConfigurationFacts):
         *,
         reference: Reference,
         mach: float = 0.0,
-        sideslip: float = 0.0,
+        sideslip: float | Sequence[float] = 0.0,
         pressures: bool = True,
         progress: bool | Tell = False,
         timeout: float | None = None,

@@ -115,12 +115,15 @@ class Configuration(ConfigurationFacts):
         *,
         reference: Reference,
         mach: float = 0.0,
-        sideslip: float = 0.0,
+        sideslip: float | Sequence[float] = 0.0,
         pressures: bool = True,
         progress: bool | Tell = False,
         timeout: float | None = None,
     ) -> list[Analysis]:
-        """Analyses at several angles of attack, at little more than the cost of one; see :meth:`analyze`."""
+        """Analyses in several winds at little more than the cost of one; see :meth:`analyze`.
+
+        `sideslip`: rad; one for each angle of attack, or the same for all.
+        """
         with told(progress) as tell:
             operation = operations.sweep(self, alphas, vertices, reference, mach, sideslip, pressures, tell)
             return self._client._run(operation, timeout)

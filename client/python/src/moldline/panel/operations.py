@@ -90,19 +90,20 @@ def sweep(
     vertices: ArrayLike | None,
     reference: Reference,
     mach: float,
-    sideslip: float,
+    sideslip: float | Sequence[float],
     pressures: bool,
     tell: Tell,
 ) -> Operation[list[Analysis]]:
-    """The flow at several angles of attack."""
+    """The flow in several winds."""
     # A copy, which later changes by the caller do not affect.
     copied = None if vertices is None else np.array(vertices, dtype=np.float64)
-    points = [AnalysisPoint(copied, mach, float(alpha), sideslip, reference) for alpha in alphas]
+    winds = np.broadcast(alphas, sideslip)
+    points = [AnalysisPoint(copied, mach, float(alpha), float(sideslip), reference) for alpha, sideslip in winds]
     request = wire.AnalyzeRequest(configuration_id=configuration.id, mach=mach, without_pressures=not pressures)
     if copied is not None:
         arrays.write(copied, request.vertices)
     for point in points:
-        request.flows.add(alpha=point.alpha, sideslip=sideslip)
+        request.flows.add(alpha=point.alpha, sideslip=point.sideslip)
     convert.write_reference(reference, request.reference)
     answer = yield from _again(partial(streamed, "Analyze", request, "analysis", tell), configuration)
     if len(answer.flows) != len(points):
