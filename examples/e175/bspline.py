@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -120,7 +121,7 @@ class Patch:
         self.control_points = np.asarray(self.control_points, float)
         expected = (len(self.knots_u) - self.degree_u - 1, len(self.knots_v) - self.degree_v - 1, 3)
         if self.control_points.shape != expected:
-            raise ValueError(f"{self.name}: control points are {self.control_points.shape}, the knots ask for {expected}")
+            raise ValueError(f"{self.name}: control points are {self.control_points.shape}, the knots need {expected}")
 
     @property
     def domain(self):
@@ -141,7 +142,8 @@ class Patch:
             net = np.concatenate([net * w, w], axis=-1)
         along_v = np.einsum("nijk,dnj->dnik", net, basis_v)
         value = {
-            (a, b): np.einsum("nik,ni->nk", along_v[b], basis_u[a]) for a, b in ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
+            (a, b): np.einsum("nik,ni->nk", along_v[b], basis_u[a])
+            for a, b in ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
         }
         if self.weights is not None:
             value = _quotient(value)
@@ -155,7 +157,9 @@ class Patch:
         halves = []
         for name, inner in zip(names, (self.knots_u < at, self.knots_u > at)):
             ends = [at] * (self.degree_u + 1)
-            knots = np.concatenate([self.knots_u[inner], ends] if self.knots_u[inner][0] < at else [ends, self.knots_u[inner]])
+            knots = np.concatenate(
+                [self.knots_u[inner], ends] if self.knots_u[inner][0] < at else [ends, self.knots_u[inner]]
+            )
             values = BSpline(self.knots_u, self.control_points, self.degree_u)(greville(knots, self.degree_u))
             net = interpolate(knots, self.degree_u, values)
             halves.append(Patch(name, self.degree_u, self.degree_v, knots, self.knots_v, net))
@@ -173,7 +177,7 @@ class Patch:
         samples = []
         for knots, degree in ((self.knots_u, self.degree_u), (self.knots_v, self.degree_v)):
             breaks = np.unique(knots[degree : len(knots) - degree])
-            samples.append(np.unique(np.concatenate([np.linspace(a, b, 7) for a, b in zip(breaks, breaks[1:])])))
+            samples.append(np.unique(np.concatenate([np.linspace(a, b, 7) for a, b in pairwise(breaks)])))
         us, vs = samples
         for end, inner in ((0, 1), (-1, -2)):
             if np.ptp(self.position(np.full(len(vs), us[end]), vs), axis=0).max() < POLE_TOLERANCE:
@@ -188,14 +192,25 @@ class Patch:
         points = np.asarray(points, float)
         seed_u, seed_v, tree = self._seeds
         distance, nearest = tree.query(points, k=np.arange(1, starts + 1))
-        best = Foot(distance[:, 0].copy(), np.zeros(len(points), int), seed_u[nearest[:, 0]], seed_v[nearest[:, 0]], tree.data[nearest[:, 0]].copy())
+        best = Foot(
+            distance[:, 0].copy(),
+            np.zeros(len(points), int),
+            seed_u[nearest[:, 0]],
+            seed_v[nearest[:, 0]],
+            tree.data[nearest[:, 0]].copy(),
+        )
         rows = np.flatnonzero(distance[:, 0] < within)
         for start in range(starts):
             u, v, x = self.refine(points[rows], seed_u[nearest[rows, start]], seed_v[nearest[rows, start]])
             d = np.linalg.norm(x - points[rows], axis=1)
             better = d < best.distance[rows]
             hit = rows[better]
-            best.distance[hit], best.u[hit], best.v[hit], best.position[hit] = d[better], u[better], v[better], x[better]
+            best.distance[hit], best.u[hit], best.v[hit], best.position[hit] = (
+                d[better],
+                u[better],
+                v[better],
+                x[better],
+            )
         return best
 
     def refine(self, points, u, v, iterations=60):
@@ -272,13 +287,19 @@ class Component:
         """Closest points over all patches."""
         feet = [patch.closest(points, within, starts) for patch in self.patches]
         winner = np.argmin([f.distance for f in feet], axis=0)
-        pick = lambda field: np.choose(winner if np.ndim(getattr(feet[0], field)) == 1 else winner[:, None], [getattr(f, field) for f in feet])
+        pick = lambda field: np.choose(
+            winner if np.ndim(getattr(feet[0], field)) == 1 else winner[:, None], [getattr(f, field) for f in feet]
+        )
         return Foot(pick("distance"), winner, pick("u"), pick("v"), pick("position"))
 
     def save(self, path):
         """Writes the component as JSON, numbers with all their digits."""
-        text = json.dumps(dict(name=self.name, patches=[p.to_dict() for p in self.patches]), indent=None, separators=(",", ":"))
-        Path(path).write_text(text.replace('{"name"', '\n{"name"').replace(',"control_points"', ',\n"control_points"') + "\n")
+        text = json.dumps(
+            dict(name=self.name, patches=[p.to_dict() for p in self.patches]), indent=None, separators=(",", ":")
+        )
+        Path(path).write_text(
+            text.replace('{"name"', '\n{"name"').replace(',"control_points"', ',\n"control_points"') + "\n"
+        )
 
     @staticmethod
     def load(path):

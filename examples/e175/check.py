@@ -1,4 +1,4 @@
-"""Checks of the geometry and the mesh, gathered in one report: what was asked for and what came out."""
+"""Checks of the geometry and the mesh, gathered in one report: measures specified and obtained."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import quality
 from bspline import Component, Patch
 from cad import occ_surface
 from mesh import Mesh
-
 
 # --- geometry ---------------------------------------------------------------------------------------------------------
 
@@ -36,7 +35,7 @@ def planform(wing: Component):
 
 
 def measures(components):
-    """Rows (name, asked, got) of the published measures."""
+    """Rows (name, specified, obtained) of the published measures."""
     fuselage, wing, tail = components
     body = fuselage.patches[0]
     grid = np.meshgrid(np.linspace(0, 1, 1601), np.linspace(0, 1, 129), indexing="ij")
@@ -70,7 +69,10 @@ def measures(components):
         ("tail aspect ratio", 4.30, tail_ratio),
         ("tail arm, quarter chord to quarter chord", 14.0, tail_quarter - quarter),
     ]
-    return [dict(name=n, asked=a, got=np.asarray(g).tolist(), difference=float(np.abs(np.asarray(g) - a).max())) for n, a, g in rows]
+    return [
+        dict(name=n, asked=a, got=np.asarray(g).tolist(), difference=float(np.abs(np.asarray(g) - a).max()))
+        for n, a, g in rows
+    ]
 
 
 def _signed_distance(body: Patch, points):
@@ -89,7 +91,7 @@ def _leaves_body(wing, body, u, start):
 
 
 def root_clearance(components):
-    """Least depth of the wing's centre section inside the fuselage (m) for the motions the mesh is to follow.
+    """Least depth of the wing's centre section inside the fuselage (m) for the motions that the mesh must follow.
 
     A negative depth would mean that the wing comes through the belly, and the seam would change its topology.
     """
@@ -98,7 +100,9 @@ def root_clearance(components):
     u = np.linspace(0, 1, 101)
     root = np.concatenate([patch.position(u, np.full_like(u, 0.5)) for patch in wing.patches[:2]])
     pivot = np.array([12.81775, 0.0, 0.25])
-    cases = [(dx, degrees, 1.0) for dx in (-5, 0, 5) for degrees in (-10, 10)] + [(dx, 0, f) for dx in (-5, 0, 5) for f in (0.7, 1.5)]
+    cases = [(dx, degrees, 1.0) for dx in (-5, 0, 5) for degrees in (-10, 10)] + [
+        (dx, 0, f) for dx in (-5, 0, 5) for f in (0.7, 1.5)
+    ]
     rows = []
     for dx, degrees, diameter in cases:
         angle = np.radians(degrees)  # positive: nose up
@@ -108,7 +112,14 @@ def root_clearance(components):
         centre = 0.5 * (net.min(1, keepdims=True) + net.max(1, keepdims=True))
         net[..., 1:] = (centre + diameter * (net - centre))[..., 1:]
         scaled = Patch("body", 3, 3, body.knots_u, body.knots_v, net)
-        rows.append(dict(translation=dx, rotation=degrees, diameter=diameter, depth=float(-_signed_distance(scaled, section).max())))
+        rows.append(
+            dict(
+                translation=dx,
+                rotation=degrees,
+                diameter=diameter,
+                depth=float(-_signed_distance(scaled, section).max()),
+            )
+        )
     return rows
 
 
@@ -127,7 +138,9 @@ def topology(mesh: Mesh):
     unique, uses = np.unique(np.sort(directed, axis=1), axis=0, return_counts=True)
     _, same_direction = np.unique(directed, axis=0, return_counts=True)
     corners = mesh.vertices[mesh.cells]
-    volume = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) + np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 2], corners[:, 3]))
+    volume = np.einsum("ij,ij->i", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])) + np.einsum(
+        "ij,ij->i", corners[:, 0], np.cross(corners[:, 2], corners[:, 3])
+    )
     return dict(
         vertices=len(mesh.vertices),
         unused_vertices=int(len(mesh.vertices) - len(np.unique(mesh.cells))),
@@ -148,13 +161,22 @@ def symmetry(mesh: Mesh):
     image = np.array(mirrored)
     known = {tuple(sorted(cell)) for cell in mesh.cells.tolist()}
     missing = sum(tuple(sorted(cell)) not in known for cell in image[mesh.cells].tolist())
-    return dict(vertices_without_image=int((image < 0).sum()), cells_without_image=missing, vertices_on_plane=int((mesh.vertices[:, 1] == 0).sum()))
+    return dict(
+        vertices_without_image=int((image < 0).sum()),
+        cells_without_image=missing,
+        vertices_on_plane=int((mesh.vertices[:, 1] == 0).sum()),
+    )
 
 
 def distances(components, mesh: Mesh):
     """Closest-point distances of every vertex to each component that uses it; of seam vertices to both; cells whose
     Newell normal opposes their owner's."""
-    uses = np.stack([np.bincount(mesh.cells[mesh.owner == k].ravel(), minlength=len(mesh.vertices)) > 0 for k in range(len(components))])
+    uses = np.stack(
+        [
+            np.bincount(mesh.cells[mesh.owner == k].ravel(), minlength=len(mesh.vertices)) > 0
+            for k in range(len(components))
+        ]
+    )
     report, opposed, least_cosine = {}, 0, 1.0
     worst = np.zeros(len(mesh.vertices))
     for k, component in enumerate(components):
@@ -169,7 +191,7 @@ def distances(components, mesh: Mesh):
         surface = np.zeros_like(normal)
         for p, patch in enumerate(component.patches):
             mine = foot.patch == p
-            u0, u1, v0, v1 = patch.domain
+            u0, u1, _, _ = patch.domain
             surface[mine] = patch.jet(np.clip(foot.u[mine], u0 + 1e-6, u1 - 1e-6), foot.v[mine]).unit_normal()
         cosine = (normal * surface).sum(1) / np.linalg.norm(normal, axis=1)
         opposed += int((cosine <= 0).sum())
@@ -207,11 +229,13 @@ def gmsh_check(path: Path, components, mesh: Mesh):
         version = gmsh.option.getString("General.Version")
     finally:
         gmsh.finalize()
-    return dict(gmsh=version, same_bits=bool((read == mesh.vertices).all()), physical_groups=groups, union_volume=volume)
+    return dict(
+        gmsh=version, same_bits=bool((read == mesh.vertices).all()), physical_groups=groups, union_volume=volume
+    )
 
 
 def report(components, mesh: Mesh, path: Path):
-    """Everything, as a dictionary for report.json."""
+    """All checks, as a dictionary for report.json."""
     result = dict(
         measures=measures(components),
         root_clearance=root_clearance(components),
@@ -228,10 +252,16 @@ def report(components, mesh: Mesh, path: Path):
     must = lambda condition, text: None if condition else failures.append(text)
     shape, mirror, total = result["topology"], result["symmetry"], result["quality"]["total"]
     must(shape["euler"] == 2, "Euler number is not 2")
-    must(not any(shape[k] for k in ("open_edges", "non_manifold_edges", "inconsistent_edges", "unused_vertices")), "not a closed oriented manifold")
+    must(
+        not any(shape[k] for k in ("open_edges", "non_manifold_edges", "inconsistent_edges", "unused_vertices")),
+        "not a closed oriented manifold",
+    )
     must(shape["volume"] > 0, "oriented inwards")
     must(not (mirror["vertices_without_image"] or mirror["cells_without_image"]), "not symmetric")
-    must(max(result["distances"]["largest_distance"].values()) <= 1e-12, "vertices off their component by more than 1e-12 m")
+    must(
+        max(result["distances"]["largest_distance"].values()) <= 1e-12,
+        "vertices off their component by more than 1e-12 m",
+    )
     must(result["distances"]["folded_cells"] == 0, "cells folded against their owner's normal")
     must(result["independent"]["same_bits"], "the mesh file does not hold the vertices' exact values")
     must(total["aspect_ratio"]["p95"] <= 1.45 and total["aspect_ratio"]["above_5"] == 0, "aspect ratios above the goal")

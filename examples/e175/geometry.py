@@ -72,7 +72,26 @@ TAIL_STATIONS = (
 
 # Spanwise knots (y >= 0, mirrored). Equal steps on both sides of a station make it a Greville abscissa, and the surface
 # interpolates the sections there, so the stations are met exactly while the kink is rounded within about one step.
-WING_BREAKS = (0.0, 0.3, 0.6, 1.0, 1.7, 2.6, 3.5, 4.0635, 4.4635, 4.8635, 5.2635, 5.6635, 6.4, 7.6, 9.0, 10.3, 11.3, 11.9106)
+WING_BREAKS = (
+    0.0,
+    0.3,
+    0.6,
+    1.0,
+    1.7,
+    2.6,
+    3.5,
+    4.0635,
+    4.4635,
+    4.8635,
+    5.2635,
+    5.6635,
+    6.4,
+    7.6,
+    9.0,
+    10.3,
+    11.3,
+    11.9106,
+)
 TAIL_BREAKS = (0.0, 0.2, 0.4, 0.7, 1.3, 2.2, 3.2, 4.2, 4.75, 5.0)
 SECTION_SPANS = 16  # knot spans of a section, lower trailing edge to upper trailing edge
 
@@ -179,7 +198,14 @@ def lifting_surface(name, stations, breaks):
     x_le, z_le, x_te, z_te, thickness, camber = (np.interp(at, table[:, 0], column) for column in table[:, 1:].T)
     chord_x, chord_z = x_te - x_le, z_te - z_le
     height = profile[:, 1:2] * thickness + profile[:, 2:3] * camber
-    sections = np.stack([x_le + profile[:, :1] * chord_x - height * chord_z, np.broadcast_to(y, height.shape), z_le + profile[:, :1] * chord_z + height * chord_x], axis=-1)
+    sections = np.stack(
+        [
+            x_le + profile[:, :1] * chord_x - height * chord_z,
+            np.broadcast_to(y, height.shape),
+            z_le + profile[:, :1] * chord_z + height * chord_x,
+        ],
+        axis=-1,
+    )
 
     net = np.moveaxis(interpolate(knots_y, 3, np.moveaxis(sections, 1, 0)), 0, 1).copy()
     net = 0.5 * (net + net[:, ::-1] * [1, -1, 1])
@@ -190,7 +216,9 @@ def lifting_surface(name, stations, breaks):
     lower, upper = skin.split_u(0.0, ("lower", "upper"))
     lower.knots_u, upper.knots_u = lower.knots_u + 1, upper.knots_u
     for skin_half in (lower, upper):  # the leading edge, computed once
-        skin_half.control_points[-1 if skin_half is lower else 0] = 0.5 * (lower.control_points[-1] + upper.control_points[0])
+        skin_half.control_points[-1 if skin_half is lower else 0] = 0.5 * (
+            lower.control_points[-1] + upper.control_points[0]
+        )
 
     # S_u x S_v of the skins as built points out of the body; a cap joins the lower rim to the upper one at equal u
     caps = []

@@ -14,6 +14,7 @@ rounding.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from scipy.sparse import coo_matrix
@@ -42,7 +43,9 @@ class Counts:
     def scaled(factor):
         """The counts of the 15,000-cell mesh times a factor."""
         times = lambda n: max(1, round(n * factor))
-        return Counts(4 * times(5), times(1), times(42), times(42), times(26), times(18), times(86), times(17), times(35))
+        return Counts(
+            4 * times(5), times(1), times(42), times(42), times(26), times(18), times(86), times(17), times(35)
+        )
 
     @property
     def wing_line(self):
@@ -179,7 +182,11 @@ class LiftingSurface:
         name = self.component.name
         inner = seam_y.mean()
         fine = np.linspace(inner, self.half_span, 4001)
-        chord = np.linalg.norm(self.lower.position(np.zeros_like(fine), 0.5 * (1 + fine / self.half_span)) - self.lower.position(np.ones_like(fine), 0.5 * (1 + fine / self.half_span)), axis=1)
+        chord = np.linalg.norm(
+            self.lower.position(np.zeros_like(fine), 0.5 * (1 + fine / self.half_span))
+            - self.lower.position(np.ones_like(fine), 0.5 * (1 + fine / self.half_span)),
+            axis=1,
+        )
         number = np.concatenate([[0], np.cumsum(0.5 * (1 / chord[1:] + 1 / chord[:-1]) * np.diff(fine))])
         rows = np.interp(np.linspace(0, number[-1], span + 1), number, fine)
         rows[-1] = self.half_span
@@ -217,7 +224,7 @@ class LiftingSurface:
             inner = half.add_vertices(self.cap.position(np.full(len(v), self.u[k]), v)) if len(v) else []
             lines.append(np.concatenate([low[k : k + 1], inner, high[k : k + 1]]).astype(int))
         lines.append(low[-1:])
-        cells = np.array([cell for a, b in zip(lines, lines[1:]) for cell in _strip(a, b)])
+        cells = np.array([cell for a, b in pairwise(lines) for cell in _strip(a, b)])
         outward = quality.area_normal(half.vertices, cells)[:, 1].sum() > 0
         half.add_cells(cells if outward else _reversed(cells), owner)
 
@@ -331,7 +338,7 @@ class FuselageGrid:
             blocks.append((b, self._block(quarter, size, outward_x)))
 
         # layout in the plane: harmonic between the ends, the layers and the meridians
-        for column, (b, (block_u, block_theta)) in zip((0, self.columns), blocks):
+        for column, (_, (block_u, _)) in zip((0, self.columns), blocks):
             rim = np.full(n.around + 1, self._xi(block_u[0, 0]))
             plane.update(zip(ids[column], np.c_[rim, np.linspace(0, np.pi, n.around + 1)]))
         xi, theta = self._harmonic(ids, plane, first, count)
@@ -370,7 +377,7 @@ class FuselageGrid:
         tangent = ahead - behind
         normal = np.c_[tangent[:, 1], -tangent[:, 0]]
         normal[0], normal[-1] = (0, -1), (0, 1)
-        normal[1 : -1] *= np.sign(-normal[1, 1])
+        normal[1:-1] *= np.sign(-normal[1, 1])
         normal /= np.linalg.norm(normal, axis=1)[:, None]
         step_size = np.pi / self.n.around
         return lambda step: points + step * step_size * normal
@@ -396,7 +403,9 @@ class FuselageGrid:
         for vertex, at in plane.items():
             known[vertex], value[vertex] = True, at
         top = {**dict.fromkeys(ids[:, 0], 0.0), **dict.fromkeys(ids[:, -1], np.pi)}
-        pairs = np.concatenate([np.stack([ids[:-1], ids[1:]], -1).reshape(-1, 2), np.stack([ids[:, :-1], ids[:, 1:]], -1).reshape(-1, 2)])
+        pairs = np.concatenate(
+            [np.stack([ids[:-1], ids[1:]], -1).reshape(-1, 2), np.stack([ids[:, :-1], ids[:, 1:]], -1).reshape(-1, 2)]
+        )
         pairs = pairs[(pairs >= 0).all(1)]
         for slit in (slit for _, slit in self.slits):
             known[slit.ids] = True
@@ -416,7 +425,9 @@ class FuselageGrid:
             a, b = a[row], b[row]
             inside = number[b] >= 0
             size = (len(unknown),) * 2
-            matrix = coo_matrix((np.ones(len(a)), (number[a], number[a])), size) - coo_matrix((np.ones(inside.sum()), (number[a[inside]], number[b[inside]])), size)
+            matrix = coo_matrix((np.ones(len(a)), (number[a], number[a])), size) - coo_matrix(
+                (np.ones(inside.sum()), (number[a[inside]], number[b[inside]])), size
+            )
             load = np.bincount(number[a[~inside]], value[b[~inside], axis], len(unknown))
             value[unknown, axis] = spsolve(matrix.tocsc(), load)
         return value[first:, 0], value[first:, 1]

@@ -36,7 +36,9 @@ def _energy(vertices, normals, cells, target, floor):
         g1 = along * s1[:, None] * e1 - against * np.cross(e2, n)
         g2 = along * s2[:, None] * e2 - against * np.cross(n, e1)
         for axis in range(3):
-            gradient[:, axis] += np.bincount(ahead, g1[:, axis], len(vertices)) + np.bincount(behind, g2[:, axis], len(vertices))
+            gradient[:, axis] += np.bincount(ahead, g1[:, axis], len(vertices)) + np.bincount(
+                behind, g2[:, axis], len(vertices)
+            )
             gradient[:, axis] -= np.bincount(here, g1[:, axis] + g2[:, axis], len(vertices))
     return total, gradient
 
@@ -60,12 +62,14 @@ def optimise(patch, u, v, cells, target, fixed, on_meridian, rounds, steps=25, l
         size = np.abs((quality.area_normal(x, cells) * normal[cells[:, 0]]).sum(1))
         floor = 0.02 * size
 
-        def objective(moves):
+        def objective(moves, x=x, first=first, second=second, normal=normal, floor=floor):
             a, b = moves.reshape(2, -1, 1)
             value, gradient = _energy(x + a * first + b * second, normal, cells, target, floor)
             return value, np.concatenate([(gradient * first).sum(1), (gradient * second).sum(1)])
 
-        result = minimize(objective, np.zeros(2 * len(x)), jac=True, method="L-BFGS-B", options=dict(maxiter=steps, maxcor=20))
+        result = minimize(
+            objective, np.zeros(2 * len(x)), jac=True, method="L-BFGS-B", options=dict(maxiter=steps, maxcor=20)
+        )
         a, b = result.x.reshape(2, -1, 1)
         moved = x + a * first + b * second
         new_u, new_v, _ = patch.refine(moved[free], u[free], v[free])

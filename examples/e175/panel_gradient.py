@@ -1,11 +1,12 @@
-"""Chains the two services: lift and induced drag of the E175, and their gradients by all design variables from two adjoint calls.
+"""Chains the two services: lift and induced drag of the E175, and their gradients with respect to all design variables from
+two adjoint calls.
 
     moldline serve --listen 127.0.0.1:50051 &
     moldline panel serve --listen 127.0.0.1:50052 &
     python panel_gradient.py                 # a minute; --checks 0 leaves the comparison out
 
     design --Deform--> vertices --Analyze--> coefficients
-    design <--adjoint of the mesh-- gradient by vertices <--adjoint of the panel method-- weights of coefficients
+    design <--adjoint of the mesh-- gradient at the vertices <--adjoint of the panel method-- weights of coefficients
 
 The gradients are compared with central differences through both services, along random directions of the design variables.
 """
@@ -23,7 +24,7 @@ from moldline.panel import Configuration, Reference
 from numpy.typing import NDArray
 
 HERE = Path(__file__).resolve().parent
-#: Of the baseline: wing area, mean aerodynamic chord, span; moments about a point near the centre of gravity.
+#: Reference values of the baseline: wing area, mean aerodynamic chord, span; moment centre near the centre of gravity.
 E175 = Reference(area=68.2, chord=3.42, span=23.82, point=(14.0, 0.0, 0.95))
 
 Array = NDArray[np.float64]
@@ -49,7 +50,7 @@ class Chain:
         return self._at(design)[2]
 
     def gradients(self, design: Array) -> Array:
-        """Rows of derivatives by the design variables: two calls, however many variables and coefficients there are."""
+        """Derivatives with respect to the design variables, a row for each coefficient: two calls, whatever the numbers."""
         deformation, analysis, _ = self._at(design)
         seeds = {name: np.eye(len(self.coefficients))[row] for row, name in enumerate(self.coefficients)}
         by_vertices = self.configuration.vjp(seeds, at=analysis).vertices
@@ -82,7 +83,9 @@ def main() -> int:
     parser.add_argument("--mach", type=float, default=0.7)
     parser.add_argument("--alpha", type=float, default=0.0, help="angle of attack, degrees")
     parser.add_argument("--checks", type=int, default=2, help="random directions to compare with differences")
-    parser.add_argument("--step", type=float, default=1e-4, help="of the differences, as a share of the variables' ranges")
+    parser.add_argument(
+        "--step", type=float, default=1e-4, help="of the differences, as a share of the variables' ranges"
+    )
     parser.add_argument("--output", type=Path, help="VTU file to write, with the pressure coefficients")
     arguments = parser.parse_args()
 

@@ -20,7 +20,8 @@ def area_normal(vertices, cells):
 
 
 def aspect_ratio(vertices, cells):
-    """Verdict's aspect ratio, as VTK computes it: longest edge times perimeter over 4 (quad) or 4 sqrt(3) (triangle) areas."""
+    """Verdict's aspect ratio, as VTK computes it: longest edge times perimeter over 4 times the area (quadrilateral)
+    or 4 sqrt(3) times (triangle)."""
     e = edges(vertices, cells)
     length = np.linalg.norm(e, axis=2)
     triangle = is_triangle(cells)
@@ -51,7 +52,7 @@ def corner_angles(vertices, cells):
 
 
 def summary(vertices, cells):
-    """The figures of a set of cells that the report prints."""
+    """Statistics of a set of cells for the report."""
     aspect, ratio = aspect_ratio(vertices, cells), edge_ratio(vertices, cells)
     angles = corner_angles(vertices, cells)
     spread = lambda x: {f"p{p}": float(np.percentile(x, p)) for p in (50, 95, 99)} | {"max": float(x.max())}

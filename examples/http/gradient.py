@@ -2,7 +2,8 @@
 
     python gradient.py http://127.0.0.1:50051 examples/e175 setup-motions.toml
 
-The objective is half the sum of squares of all displacements; its derivative by the vertices are the displacements themselves.
+The objective is half the sum of squares of all displacements; its derivative with respect to the
+vertices is the displacements themselves.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ def main(server: str, folder: Path, setup_file: str) -> None:
     displacements = np.load(io.BytesIO(answer)) - reference
     print(f"moved up to {np.linalg.norm(displacements, axis=1).max():.3f} m")
 
-    # The id says where; with the design at hand, a server that does not hold the linearisation any more makes it again.
+    # The id names the linearisation; with the design, a server that has dropped it recomputes it.
     seeds = io.BytesIO()
     np.savez(seeds, **{"vertices": displacements, "at.design": design})
     path = f"{session}/vjp?linearisation_id={headers['Moldline-Linearisation-Id']}"
@@ -57,7 +58,7 @@ def npy(values: np.ndarray) -> bytes:
 
 
 def call(method: str, url: str, body: bytes | None = None, kind: str = JSON, accept: str = JSON) -> tuple[bytes, Any]:
-    """The answer and its headers; what is wrong with a request is said field by field."""
+    """The answer and its headers; errors name the offending field."""
     headers = {"Content-Type": kind, "Accept": accept}
     try:
         with urlopen(Request(url, body, headers, method=method)) as answer:

@@ -1,4 +1,5 @@
-"""Meshes the union of closed B-spline components with gmsh's OpenCASCADE kernel, and puts every vertex exactly on its surfaces.
+"""Meshes the union of closed B-spline components with gmsh's OpenCASCADE kernel, and moves every vertex exactly onto its
+surfaces.
 
 The configurations beside this file use it; the B-splines are those of examples/e175. gmsh's vertices lie within its CAD
 tolerance of the surfaces; afterwards each is moved onto all patches that meet in it, so that seam vertices lie on both
@@ -15,10 +16,10 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples" / "e175"))
 
-import quality  # noqa: E402
-from bspline import POLE_TOLERANCE, Component, Patch  # noqa: E402
-from cad import occ_surface  # noqa: E402
-from mesh import Mesh  # noqa: E402
+import quality
+from bspline import POLE_TOLERANCE, Component, Patch
+from cad import occ_surface
+from mesh import Mesh
 
 FAR = 1e3  # m, larger than any configuration
 CAD_TOLERANCE = 1e-5  # m, how far gmsh's vertices may be off the surfaces
@@ -59,7 +60,11 @@ def _split_axis(patch, axis):
 
 def poles(pieces):
     """The points that collapsed sides of patches stand for."""
-    sides = [side for p in pieces for side in (p.control_points[0], p.control_points[-1], p.control_points[:, 0], p.control_points[:, -1])]
+    sides = [
+        side
+        for p in pieces
+        for side in (p.control_points[0], p.control_points[-1], p.control_points[:, 0], p.control_points[:, -1])
+    ]
     return np.array([side[0] for side in sides if np.ptp(side, axis=0).max() < POLE_TOLERANCE]).reshape(-1, 3)
 
 
@@ -68,7 +73,9 @@ def mesh_union(components: list[Component], size, quads: bool, half: bool) -> Me
 
     size: function of (x, y, z) giving the edge length wanted there.
     """
-    pieces = [(owner, piece) for owner, c in enumerate(components) for patch in c.patches for piece in split_at_creases(patch)]
+    pieces = [
+        (owner, piece) for owner, c in enumerate(components) for patch in c.patches for piece in split_at_creases(patch)
+    ]
     gmsh.initialize()
     try:
         for name, value in (
@@ -213,12 +220,19 @@ def _split_flat(vertices, cells, cell_piece, limit=130.0):
     halves = [[np.ascontiguousarray(triangle.T) for triangle in pair] for pair in pairs]
     first_better = np.maximum(*map(worst, halves[0])) <= np.maximum(*map(worst, halves[1]))
     split = [np.where(first_better[:, None], one, other) for one, other in zip(*halves)]
-    return np.concatenate([cells[~flat], *split]), np.concatenate([cell_piece[~flat], cell_piece[flat], cell_piece[flat]])
+    return np.concatenate([cells[~flat], *split]), np.concatenate(
+        [cell_piece[~flat], cell_piece[flat], cell_piece[flat]]
+    )
 
 
 def check(components, mesh: Mesh, half: bool):
-    """Largest distance of vertices to every component they belong to, and the counts that the readme states."""
-    uses = np.stack([np.bincount(mesh.cells[mesh.owner == k].ravel(), minlength=len(mesh.vertices)) > 0 for k in range(len(components))])
+    """Largest distance of vertices from the components that they belong to, and the counts in the readme."""
+    uses = np.stack(
+        [
+            np.bincount(mesh.cells[mesh.owner == k].ravel(), minlength=len(mesh.vertices)) > 0
+            for k in range(len(components))
+        ]
+    )
     off = 0.0
     for k, component in enumerate(components):
         off = max(off, component.closest(mesh.vertices[uses[k]], within=1.0).distance.max())
@@ -250,14 +264,21 @@ def write_vtu(path, mesh: Mesh):
     triangle = quality.is_triangle(mesh.cells)
     length = np.where(triangle, 3, 4)
     numbers = lambda values: " ".join(str(v) for v in values)
-    array = lambda kind, name, text, more="": f'<DataArray type="{kind}" Name="{name}"{more} format="ascii">\n{text}\n</DataArray>'
+    array = lambda kind, name, text, more="": (
+        f'<DataArray type="{kind}" Name="{name}"{more} format="ascii">\n{text}\n</DataArray>'
+    )
     text = "\n".join(
         [
             '<?xml version="1.0"?>',
             '<VTKFile type="UnstructuredGrid" version="1.0" byte_order="LittleEndian">',
             f'<UnstructuredGrid><Piece NumberOfPoints="{len(mesh.vertices)}" NumberOfCells="{len(mesh.cells)}">',
             "<Points>",
-            array("Float64", "Points", "\n".join("{:.17g} {:.17g} {:.17g}".format(*x) for x in mesh.vertices), ' NumberOfComponents="3"'),
+            array(
+                "Float64",
+                "Points",
+                "\n".join("{:.17g} {:.17g} {:.17g}".format(*x) for x in mesh.vertices),
+                ' NumberOfComponents="3"',
+            ),
             "</Points>",
             "<Cells>",
             array("Int64", "connectivity", "\n".join(numbers(c[:n]) for c, n in zip(mesh.cells, length))),

@@ -1,4 +1,4 @@
-"""Clients of all languages behind one face: a driver process each, as drivers/README.md says."""
+"""One interface to the clients of all languages: a driver process for each, see drivers/README.md."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Fields = dict[str, Any]
 
 
 class Refused(Exception):
-    """What a client raised, threw or returned."""
+    """An error as a client raised, threw or returned it."""
 
     def __init__(self, error: Fields) -> None:
         super().__init__(f"{error['code']}: {error['message']}")
@@ -41,7 +41,7 @@ class Client:
         )
 
     def __call__(self, what: str, **arguments: Any) -> Any:
-        """Has the driver do something; its answer, with numpy arrays. Raises :class:`Refused`."""
+        """Sends one command to the driver; returns its answer, with numpy arrays. Raises :class:`Refused`."""
         assert self.process.stdin and self.process.stdout
         self.process.stdin.write(json.dumps({"do": what, **_written(arguments)}) + "\n")
         self.process.stdin.flush()
@@ -92,7 +92,7 @@ def _read(value: Any) -> Any:
 
 
 def bits(value: Any) -> Any:
-    """`value` with arrays as type, shape and bytes: equal only if they are the same to the last bit."""
+    """`value` with arrays replaced by type, shape and bytes, so that equality means the same bits."""
     if isinstance(value, np.ndarray):
         return value.dtype.str, value.shape, value.tobytes()
     if isinstance(value, dict):

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import moldline
 import pytest
+
 import sphere_and_boom
 from server import Server
 

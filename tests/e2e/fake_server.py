@@ -1,4 +1,4 @@
-"""A server that misbehaves on demand, and remembers who asked for what and when."""
+"""A server that misbehaves on demand and records the calls that it receives."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def refusal(code: str, retry_after: float | None = None) -> Any:
 
 
 class FakeServer(mesh_service_pb2_grpc.MeshServiceServicer):
-    """Answers `refusals` in turn, one a call, and then as a server should."""
+    """Answers with one of `refusals` for each call, in turn, and correctly afterwards."""
 
     def __init__(self, credentials: grpc.ServerCredentials | None = None) -> None:
         self.refusals: list[Any] = []
@@ -75,7 +75,9 @@ class FakeServer(mesh_service_pb2_grpc.MeshServiceServicer):
         return wire.ListSetupsResponse(setups=[wire.SetupSummary(setup_id=f"set-up {page}")], next_page_token=following)
 
     def GetSession(self, request: Any, context: grpc.ServicerContext) -> Any:
-        return wire.GetSessionResponse(session=wire.Session(session_id=request.session_id, setup_id="fake", generation=7))
+        return wire.GetSessionResponse(
+            session=wire.Session(session_id=request.session_id, setup_id="fake", generation=7)
+        )
 
     def GetSetup(self, request: Any, context: grpc.ServicerContext) -> Any:
         variables = [wire.Variable(name=f"x{index}", unit="m") for index in range(VARIABLES)]
@@ -94,7 +96,7 @@ class FakeServer(mesh_service_pb2_grpc.MeshServiceServicer):
         return wire.UpdateSessionResponse(session=wire.Session(session_id=request.session_id, generation=generation))
 
     def Jacobian(self, request: Any, context: grpc.ServicerContext) -> Iterator[Any]:
-        """One column a message; a refusal comes after the second one."""
+        """One column for each message; a refusal comes after the second one."""
         self._came(request, context)
         refused = self.refusals.pop(0) if self.refusals else None
         for column in range(VARIABLES):

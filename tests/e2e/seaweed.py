@@ -2,7 +2,7 @@
 
     python seaweed.py COMMAND...
 
-runs a command that finds such a store in its environment, or none where SeaweedFS is not installed.
+runs a command with the address of such a store in its environment, or without where SeaweedFS is not installed.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 
-#: Seconds that it may take to start.
+#: Longest time to start, s.
 STARTING = 120
 BUCKET = "moldline"
 
 
 def program() -> Path | None:
-    """Where `weed` is: beside this Python, or where programs are."""
+    """Path of `weed`: beside this Python, or on PATH."""
     found = shutil.which("weed", path=os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")]))
     return None if found is None else Path(found)
 
@@ -70,7 +70,7 @@ class SeaweedFS:
         self.start()
 
     def start(self) -> None:
-        """Again, with the objects of before, where it was stopped."""
+        """Restarts it with the objects that it had."""
         with (self._folder / "log").open("ab") as log:
             self.process = subprocess.Popen(self._command, cwd=self._folder, stdout=log, stderr=log)
         try:
@@ -94,13 +94,13 @@ class SeaweedFS:
                     if ready:
                         return
             except OSError:
-                # It does not listen yet, or says that there is no place.
+                # It does not listen yet, or has no volume yet.
                 pass
             time.sleep(0.05)
         raise AssertionError(f"SeaweedFS did not start; its log is {self._folder / 'log'}")
 
     def stop(self) -> None:
-        """Ends it at once."""
+        """Kills it."""
         self.process.kill()
         self.process.wait()
 
@@ -114,7 +114,7 @@ class SeaweedFS:
 
 
 def free_ports(count: int) -> list[int]:
-    """Ports that nobody listens on at the moment."""
+    """Ports that are free at the moment."""
     with ExitStack() as taken:
         sockets = [taken.enter_context(socket.socket()) for _ in range(count)]
         for one in sockets:

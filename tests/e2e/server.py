@@ -1,4 +1,4 @@
-"""The real server as a process of its own."""
+"""The real server in a process of its own."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ import moldline
 
 
 class Server:
-    """A running `moldline serve` on a free port of the loopback interface; its store ends with it if none is named.
+    """A running `moldline serve` on a free port of the loopback interface; its store is temporary unless one is named.
 
-    `command`: what is run in its place.
+    `command`: arguments in place of `serve`.
     `environment`: variables besides those of this process.
     `within`: a program and its arguments that runs the server as itself, such as `nsenter`.
     """
@@ -46,7 +46,7 @@ class Server:
         self.address: str = self.announcement["address"]
 
     def _read_log(self) -> None:
-        # Read all the time, so that the server never waits for us.
+        # Read continuously, so that the server never blocks on a full pipe.
         for line in self.process.stderr:
             self.log.append(line)
 

@@ -89,7 +89,7 @@ def write(
     length: float = 2.5,
     change: Callable[[dict[str, Any], np.ndarray, list[list[int]]], None] = lambda document, vertices, cells: None,
 ) -> Path:
-    """Writes the set-up as JSON with a Gmsh 2.2 mesh. `change` may spoil document, vertices and cells before."""
+    """Writes the set-up as JSON with a Gmsh 2.2 mesh. `change` may spoil document, vertices and cells first."""
     folder.mkdir(parents=True, exist_ok=True)
     content = document(length)
     vertices, cells = mesh(rings, length)
@@ -104,7 +104,8 @@ def _msh(vertices: np.ndarray, cells: list[list[int]]) -> str:
     nodes = [f"{i} {x!r} {y!r} {z!r}" for i, (x, y, z) in enumerate(vertices.tolist(), 1)]
     kinds = {3: 2, 4: 3}
     elements = [
-        f"{i} {kinds[len(cell)]} 2 0 1 {' '.join(str(vertex + 1) for vertex in cell)}" for i, cell in enumerate(cells, 1)
+        f"{i} {kinds[len(cell)]} 2 0 1 {' '.join(str(vertex + 1) for vertex in cell)}"
+        for i, cell in enumerate(cells, 1)
     ]
     lines = ["$MeshFormat", "2.2 0 8", "$EndMeshFormat", "$Nodes", str(len(nodes)), *nodes, "$EndNodes"]
     return "\n".join([*lines, "$Elements", str(len(elements)), *elements, "$EndElements", ""])

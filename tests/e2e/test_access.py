@@ -1,4 +1,4 @@
-"""Tokens made by the command line, asked for by a real server."""
+"""Authentication by tokens that the command line creates."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import moldline
 import pytest
 import requests
 from moldline.v1 import mesh_service_pb2, mesh_service_pb2_grpc
+
 from server import Server
 
 

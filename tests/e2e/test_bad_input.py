@@ -1,4 +1,4 @@
-"""Bad input: a typed error that names field, index and value, and a server that goes on serving others."""
+"""Bad input gives a typed error that names field, index and value; other clients are served meanwhile."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Any
 import moldline
 import numpy as np
 import pytest
+
 import sphere_and_boom
 from server import Server
 
@@ -27,7 +28,7 @@ def others_are_served(server: Server, setup_folder: Path) -> Iterator[None]:
 
 
 def patch(**changes: Any) -> Change:
-    """Replaces the boom by a single bilinear patch with something wrong."""
+    """Replaces the boom by a single faulty bilinear patch."""
 
     def change(document: dict[str, Any], vertices: np.ndarray, cells: list[list[int]]) -> None:
         flat = {

@@ -1,4 +1,4 @@
-"""Checks of derivatives through a real connection: what they find, that the command finds the same, and what is refused."""
+"""Checks of derivatives through a real connection: results, agreement with the command, refusals."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.fixture(scope="module")
 def setup_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The small set-up within bounds that the boom leaves the sphere in: random designs have a mesh."""
+    """The small set-up with bounds within which the boom leaves the sphere, so that random designs have a mesh."""
 
     def near(document: dict[str, Any], _vertices: np.ndarray, _cells: list[list[int]]) -> None:
         far = document["parameterisation"]["variables"][2]
@@ -122,7 +122,7 @@ def _one_at_a_time(client: moldline.Client, setup: moldline.Setup) -> None:
     with pytest.raises(moldline.ResourceExhausted) as refused:
         setup.check(variables=["boom.lift"])
     assert refused.value.retry_after is not None
-    # Others go on meanwhile.
+    # Other calls are served meanwhile.
     with setup.session() as session:
         assert session.deform().quality.total.folded == 0
     long.cancel()

@@ -1,4 +1,4 @@
-"""Clients of all languages say who they are, and see what is theirs."""
+"""Clients of all languages authenticate and see their own data."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
 from clients import LANGUAGES, Client, Refused
 from server import Server
 
@@ -18,7 +19,7 @@ def tokens(binary: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def server(binary: Path, tokens: Path) -> Iterator[Server]:
-    # It has to be there when the server starts.
+    # It has to exist when the server starts.
     token(binary, tokens, "nobody", "reader")
     with Server(binary, "--tokens", str(tokens)) as server:
         yield server

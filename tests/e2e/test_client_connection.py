@@ -1,4 +1,4 @@
-"""What clients of all languages do when calls fail, and what they say of themselves: against a server that misbehaves."""
+"""Retries, deadlines and credentials of clients of all languages, against a server that misbehaves."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import grpc
 import numpy as np
 import pytest
 import trustme
+
 from clients import LANGUAGES, Client, Refused
 from fake_server import JACOBIAN, FakeServer, refusal
 
@@ -46,7 +47,7 @@ def test_a_server_that_is_away_is_asked_again(client: Client, server: FakeServer
 @pytest.mark.parametrize(
     "refused",
     [
-        # Without a time after which trying again may help, it will not.
+        # Without a delay after which to retry, a retry is pointless.
         refusal("RESOURCE_EXHAUSTED"),
         refusal("INVALID_ARGUMENT"),
         refusal("ABORTED"),
@@ -77,7 +78,7 @@ def test_attempts_are_counted(client: Client, server: FakeServer) -> None:
 
 
 def test_nobody_waits_beyond_the_timeout(client: Client, server: FakeServer) -> None:
-    """It covers all attempts, and the server is told how much of it is left."""
+    """The deadline covers all attempts, and the server is told the remaining time."""
     client("connect", address=server.address, first_pause=0.01, timeout=1.0)
     server.refusals = [refusal("UNAVAILABLE", retry_after=0.4), refusal("RESOURCE_EXHAUSTED", retry_after=60.0)]
     start = time.monotonic()
@@ -87,7 +88,7 @@ def test_nobody_waits_beyond_the_timeout(client: Client, server: FakeServer) -> 
     assert error.value.code == "RESOURCE_EXHAUSTED" and error.value.retry_after == 60.0
     first, second = (call[3] for call in server.calls)
     assert first is not None and second is not None
-    # From a second on gRPC rounds what is left up to hundredths.
+    # From a second on, gRPC rounds the remaining time up to hundredths.
     assert 0.5 < first <= 1.01 and 0.0 < second <= 0.6
 
 
@@ -145,7 +146,7 @@ def authority() -> trustme.CA:
 
 @pytest.fixture(scope="module")
 def files(authority: trustme.CA, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """What a client has: the authority that it trusts, its certificate and key."""
+    """Credentials of a client: the authority that it trusts, its certificate and key."""
     folder: Path = tmp_path_factory.mktemp("tls")
     own = authority.issue_cert("optimizer.example.org")
     authority.cert_pem.write_to_path(folder / "authorities.pem")

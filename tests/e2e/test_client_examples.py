@@ -11,6 +11,7 @@ from pathlib import Path
 import moldline
 import numpy as np
 import pytest
+
 from clients import ROOT
 from server import Server
 
@@ -63,7 +64,9 @@ def test_the_sweep_in_rust_has_the_other_clients_numbers(
     program = Path(os.environ.get("MOLDLINE_DRIVER_RUST", ROOT / "target/debug/examples/driver")).with_name("sweep")
     command = [str(program), server.address, str(setup_folder), "setup.json", "boom.translation"]
     run = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
-    row = re.compile(r"^(\S+) m: aspect ratio p95 (\S+), enclosed_volume (\S+) m\^3, its derivative (\S+)$", re.MULTILINE)
+    row = re.compile(
+        r"^(\S+) m: aspect ratio p95 (\S+), enclosed_volume (\S+) m\^3, its derivative (\S+)$", re.MULTILINE
+    )
     told = np.array(row.findall(run.stdout), dtype=float)
     assert told[:, 0].tolist() == [-0.5, -0.25, 0.0, 0.25, 0.5]
     with setup.session() as session:

@@ -1,4 +1,4 @@
-"""The same scenarios through every client, on a real server; what they answer has to be the same to the last bit."""
+"""The same scenarios through every client, on a real server; the answers have to agree to the last bit."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 import sphere_and_boom
 from clients import LANGUAGES, Client, Refused, bits
 from server import Server
@@ -36,7 +37,7 @@ def answers() -> dict[str, Any]:
 
 @pytest.fixture
 def same(answers: dict[str, Any]) -> Same:
-    """Whether an answer has the bits of the one that the client before got."""
+    """Whether an answer has the same bits as the previous client's."""
 
     def check(name: str, answer: Any) -> None:
         assert bits(answer) == answers.setdefault(name, bits(answer))
@@ -57,7 +58,7 @@ def session(client: Client, setup: Any) -> Iterator[str]:
 
 
 def own(client: Client) -> int:
-    """A number for each language, for what is to be its own."""
+    """A number for each language, for values that must differ between them."""
     return LANGUAGES.index(client.language)
 
 
@@ -239,7 +240,7 @@ def test_a_session_is_stored_resumed_and_closed(client: Client, server: Server, 
     points = {"boom": client("control_points", setup=setup["setup"])["boom"] + [0.1, 0.0, 0.0]}
     stored = client("update", session=session, design=VECTOR, control_points=points, label="further")
     same("stored design", [stored["design"], stored["control_points"]])
-    # Another connection goes on where this one was.
+    # Another connection continues this session.
     with_other = Client(client.language)
     with_other("connect", address=server.address)
     resumed = with_other("resume", session=session)
@@ -247,7 +248,7 @@ def test_a_session_is_stored_resumed_and_closed(client: Client, server: Server, 
     assert session in [each["session"] for each in with_other("list_sessions")["sessions"]]
     advanced = with_other("update", session=session, design=np.zeros(3))
     assert advanced["generation"] == opened["generation"] + 3
-    # What this one knows is out of date now.
+    # The first connection is now out of date.
     with pytest.raises(Refused) as refused:
         client("update", session=session, design=VECTOR)
     assert refused.value.code == "ABORTED"

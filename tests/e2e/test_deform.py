@@ -1,4 +1,4 @@
-"""Deforming: the same bits whoever asks, wherever, with however many threads."""
+"""Deformation: the same bits for every client, server and number of threads."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import meshio
 import moldline
 import numpy as np
 import pytest
+
 from server import Server
 
 MOVED = {"boom.translation": 0.3}
@@ -24,7 +25,7 @@ def test_the_baseline_is_the_reference_mesh(setup: moldline.Setup) -> None:
 
 
 def test_vertices_follow_the_design(setup: moldline.Setup) -> None:
-    """The boom moves along its own axis, here: the seam stays, and the cap goes with the boom."""
+    """Here the boom moves along its own axis: the seam stays, and the cap moves with the boom."""
     with setup.session() as session:
         result = session.deform(MOVED)
     reference, moved = setup.mesh.vertices, result.vertices

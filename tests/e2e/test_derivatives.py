@@ -1,4 +1,4 @@
-"""Derivatives through a real connection: against each other, against differences, and what is refused."""
+"""Derivatives through a real connection: against each other, against differences, and refusals."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import pytest
 from moldline.errors import translated
 from moldline.v1 import array_pb2
 from moldline.v1 import mesh_service_pb2 as wire
+
 from server import Server
 
 ROOT = Path(__file__).parents[2]
@@ -69,7 +70,9 @@ def test_forward_and_reverse_agree(session: moldline.Session, count: int | None)
     count = variables if count is None else count
     at = session.deform(somewhere(session.setup))
     directions = np.random.default_rng(1).normal(size=(count, variables))
-    points = {c: np.random.default_rng(2).normal(size=(count, n, 3)) for c, n in session.setup.control_point_counts.items()}
+    points = {
+        c: np.random.default_rng(2).normal(size=(count, n, 3)) for c, n in session.setup.control_point_counts.items()
+    }
     of_vertices, of_functions = seeds(session, count)
     tangents = session.jvp(directions, control_points=points, at=at)
     gradients = session.vjp(vertices=of_vertices, functions=of_functions, at=at, control_points=points)
@@ -89,7 +92,7 @@ def test_the_jacobian_has_the_products_columns(session: moldline.Session) -> Non
     together = session.jvp(np.eye(variables), at=at)
     assert jacobian.vertices.tobytes() == together.vertices.tobytes()
     assert matrix(jacobian).tobytes() == matrix(together).tobytes()
-    # Alone, the field's sums are in another order.
+    # A single direction sums the field in another order.
     for column, direction in enumerate(np.eye(variables)):
         tangent = session.jvp(direction, at=at)
         assert tangent.vertices.shape == (session.setup.vertex_count, 3)
@@ -137,7 +140,7 @@ def test_one_thread_gives_the_derivatives_of_two(binary: Path, boom: moldline.Se
 
 
 def test_given_control_points_take_the_designs_place(boom: moldline.Session) -> None:
-    """What the design does to a component does not matter where its control points are given."""
+    """The design has no effect on a component whose control points are given."""
     given = {"boom": boom.setup.control_points["boom"] + [0.1, 0.0, 0.05]}
     at = boom.deform(control_points=given)
     gradient = boom.vjp(functions={"enclosed_volume": 1.0}, at=at, control_points=["boom"])
@@ -151,9 +154,10 @@ def test_given_control_points_take_the_designs_place(boom: moldline.Session) -> 
     volume = np.sum(gradient.control_points["boom"] * lift)
     assert math.isclose(volume, tangent.functions["enclosed_volume"], rel_tol=1e-10, abs_tol=1e-12)
     point = moldline.DesignPoint(control_points=given)
-    assert boom.vjp(functions={"enclosed_volume": 1.0}, at=point, control_points=["boom"]).control_points[
-        "boom"
-    ].tobytes() == gradient.control_points["boom"].tobytes()
+    assert (
+        boom.vjp(functions={"enclosed_volume": 1.0}, at=point, control_points=["boom"]).control_points["boom"].tobytes()
+        == gradient.control_points["boom"].tobytes()
+    )
 
 
 def test_seeds_by_name_are_those_by_number(boom: moldline.Session) -> None:
@@ -190,7 +194,7 @@ def test_a_dropped_linearisation_is_said_or_made_again(binary: Path, setup_folde
             (violation,) = refused.value.violations
             assert violation.field == "at.linearisation_id"
             assert "Deform again" in violation.description
-            # With what `deform` returned the client sends the design too.
+            # Given the result of `deform`, the client sends the design too.
             again = session.jvp([1.0, 0.0, 0.0], at=first)
             assert again.vertices.tobytes() == before.vertices.tobytes()
             column = session.jacobian(at=first).vertices[0]
@@ -206,7 +210,9 @@ def test_a_linearisation_is_known_to_all_sessions_on_its_set_up(boom: moldline.S
     assert refused.value.violations[0].field == "at.linearisation_id"
 
 
-def array(values: Any, dtype: int = array_pb2.DATA_TYPE_FLOAT64, shape: tuple[int, ...] | None = None) -> array_pb2.Array:
+def array(
+    values: Any, dtype: int = array_pb2.DATA_TYPE_FLOAT64, shape: tuple[int, ...] | None = None
+) -> array_pb2.Array:
     values = np.asarray(values, dtype="<f8")
     return array_pb2.Array(dtype=dtype, shape=values.shape if shape is None else shape, data=values.tobytes())
 

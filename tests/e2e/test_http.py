@@ -1,4 +1,4 @@
-"""HTTP with the tools that people have: requests, numpy, json. The same numbers as over gRPC, to the last bit."""
+"""HTTP with common tools (requests, numpy, json): the same numbers as over gRPC, to the last bit."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ import moldline
 import numpy as np
 import pytest
 import requests
+
 from server import Server
 
 NPY = {"Accept": "application/x-npy"}
@@ -138,10 +139,14 @@ def test_progress_arrives_while_it_is_made(http: requests.Session, url: str, tmp
     assert http.get(f"{url}/setups/{created['setup_id']}").json()["setup"]["name"] == "sphere and boom"
 
 
-def test_a_client_that_leaves_takes_its_work_with_it(server: Server, session: str, http: requests.Session, url: str) -> None:
+def test_a_client_that_leaves_takes_its_work_with_it(
+    server: Server, session: str, http: requests.Session, url: str
+) -> None:
     def leave(design: float) -> None:
         with pytest.raises(requests.exceptions.Timeout):
-            requests.post(f"{session}/jacobian", json={"at": {"design_point": {"design": [design, 0, 0]}}}, timeout=0.001)
+            requests.post(
+                f"{session}/jacobian", json={"at": {"design_point": {"design": [design, 0, 0]}}}, timeout=0.001
+            )
 
     leaving = [threading.Thread(target=leave, args=(0.001 * index,)) for index in range(20)]
     for thread in leaving:
@@ -163,7 +168,7 @@ def test_readiness_goes_before_the_port(binary: Path) -> None:
         while requests.get(f"{at}/readyz", timeout=10).status_code != 503:
             assert time.monotonic() < deadline
             time.sleep(0.02)
-        # Alive all the same, and whoever comes is served.
+        # The server is alive and serves others.
         assert requests.get(f"{at}/healthz", timeout=10).status_code == 200
         assert requests.get(f"{at}/v1/status", timeout=10).status_code == 200
         assert server.wait() == 0

@@ -1,4 +1,4 @@
-"""From the first probe to the exit code."""
+"""Life of a server, from the first probe to the exit code."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import grpc
 import pytest
 from grpc_health.v1 import health_pb2, health_pb2_grpc
 from grpc_reflection.v1alpha.proto_reflection_descriptor_database import ProtoReflectionDescriptorDatabase
+
 from server import Server
 
 
@@ -69,7 +70,7 @@ def test_sigterm_lets_what_runs_finish(binary: Path, setup_folder: Path) -> None
             worker.start()
         server.process.terminate()
         time.sleep(0.1)
-        # The port is open for one probe interval, in which probes learn of the end.
+        # The port is open for one probe interval, in which probes see that it is not ready.
         assert health(server, "") == health_pb2.HealthCheckResponse.NOT_SERVING
         stopping.set()
         for worker in workers:

@@ -1,4 +1,4 @@
-"""Requests that schemathesis makes up from the description: none breaks the server, and answers are as described."""
+"""Requests that schemathesis generates from the OpenAPI document: none breaks the server, and answers match it."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import schemathesis
 from hypothesis import HealthCheck, Phase, settings
 from schemathesis import Case
 from schemathesis.specs.openapi.checks import positive_data_acceptance
+
 from server import Server
 
 BINARY = ["x-npy", "x-npz", "x-tar", "gzip", "zip", "toml"]

@@ -53,7 +53,9 @@ def test_inputs_and_outputs_are_those_of_the_setup(session: moldline.Session) ->
         assert run.get_val(f"mesh.{name.replace('.', ':')}").item() == value
     # In other units too.
     assert np.isclose(run.get_val("mesh.wing:rotation", units="rad").item(), np.deg2rad(2.0))
-    assert np.isclose(run.get_val("mesh.enclosed_volume", units="ft**3").item(), expected.functions["enclosed_volume"] / 0.3048**3)
+    assert np.isclose(
+        run.get_val("mesh.enclosed_volume", units="ft**3").item(), expected.functions["enclosed_volume"] / 0.3048**3
+    )
 
 
 def test_products_pass_openmdaos_check(session: moldline.Session) -> None:
@@ -74,7 +76,7 @@ def test_products_pass_openmdaos_check(session: moldline.Session) -> None:
 
 @pytest.mark.parametrize("mode", ["fwd", "rev"])
 def test_products_by_control_points_pass_openmdaos_check(session: moldline.Session, mode: str) -> None:
-    """A geometry engine of the user's own: it shifts the wing, and gives it dihedral. Patches stay joined."""
+    """A user's own geometry engine: it shifts the wing and gives it dihedral. Patches stay joined."""
     points = session.setup.control_points["wing"]
     shift, dihedral = np.zeros_like(points), np.zeros_like(points)
     shift[:, 0] = 1.0
@@ -88,7 +90,9 @@ def test_products_by_control_points_pass_openmdaos_check(session: moldline.Sessi
         b={"val": 0.02},
     )
     run.model.add_subsystem("geometry", geometry)
-    component = DeformedMesh(session=session, control_points=["wing"], functions=["enclosed_volume", "wing.wetted_area"])
+    component = DeformedMesh(
+        session=session, control_points=["wing"], functions=["enclosed_volume", "wing.wetted_area"]
+    )
     run.model.add_subsystem("mesh", component)
     run.model.connect("geometry.points", "mesh.wing:control_points")
     run.setup(mode=mode)

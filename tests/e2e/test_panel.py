@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import requests
 from moldline.panel import AnalysisPoint, Configuration, Edges, Groups, Reference
+
 from server import Server
 
 ROOT = Path(__file__).parents[2]
@@ -24,7 +25,8 @@ PANELS = ("panel", "serve")
 
 
 def wing(around: int = 16, stations: int = 6) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The starboard half of a rectangular NACA 0012 wing of aspect ratio 8 with a flat tip: vertices, cells, trailing edge."""
+    """The starboard half of a rectangular NACA 0012 wing of aspect ratio 8 with a flat tip: vertices, cells and
+    trailing edge."""
     theta = 2 * np.pi * np.arange(around) / around
     x = 0.5 * (1 + np.cos(theta))
     t = 0.6 * (0.2969 * np.sqrt(x) - 0.126 * x - 0.3516 * x**2 + 0.2843 * x**3 - 0.1036 * x**4)
@@ -61,7 +63,11 @@ def panels(panel_server: Server) -> Iterator[moldline.panel.Client]:
 def configuration(panels: moldline.panel.Client) -> Configuration:
     vertices, cells, trailing = wing()
     return panels.create_configuration(
-        vertices, cells, vertex_groups={"trailing": trailing}, trailing_edges=Groups("trailing"), cell_groups={"wing": range(len(cells))}
+        vertices,
+        cells,
+        vertex_groups={"trailing": trailing},
+        trailing_edges=Groups("trailing"),
+        cell_groups={"wing": range(len(cells))},
     )
 
 
@@ -73,13 +79,15 @@ def test_a_wing_lifts_as_a_wing_does(panels: moldline.panel.Client, configuratio
     level, raised = configuration.sweep([0.0, 0.05], reference=REFERENCE, mach=0.2, progress=steps.append)
     assert list(dict.fromkeys(step.stage for step in steps)) == ["influence", "factorisation", "solution"]
     assert abs(level.coefficients.lift) < 1e-9
-    # A linear method: the lift is that of the slope, to second order of the angle; and close to what thin wings have.
+    # The method is linear: the lift follows the slope to second order in the angle, and is close to thin-wing theory.
     lift = raised.coefficients.lift
     assert np.isclose(lift, level.coefficients.lift_slope * np.sin(0.05), rtol=2e-3)
     assert 4.0 < lift / 0.05 < 5.2
     assert abs(raised.disagreement) < 0.05
     demanded = lift - raised.coefficients.induced_drag * np.sin(0.05)
-    assert np.isclose(raised.coefficients.pressure_lift + raised.wake_lift, demanded * (1 + raised.disagreement), rtol=1e-12)
+    assert np.isclose(
+        raised.coefficients.pressure_lift + raised.wake_lift, demanded * (1 + raised.disagreement), rtol=1e-12
+    )
     elliptic = lift**2 / (np.pi * 8)
     assert 0.9 * elliptic < raised.coefficients.induced_drag < 1.15 * elliptic
     # The lift is the load over the half span, twice.
@@ -104,12 +112,17 @@ def test_derivatives_are_those_of_differences_and_each_others_transpose(configur
     # Central differences of the fourth order: at this step neither truncation nor rounding counts.
     step = 2e-3
     weights = {-2: 1 / 12, -1: -2 / 3, 1: 2 / 3, 2: -1 / 12}
-    around = {k: configuration.analyze(vertices + k * step * shift, **flow, pressures=False).coefficients for k in weights}
+    around = {
+        k: configuration.analyze(vertices + k * step * shift, **flow, pressures=False).coefficients for k in weights
+    }
     for name in ("lift", "moment", "induced_drag", "neutral_point"):
         difference = sum(weight * getattr(around[k], name) for k, weight in weights.items()) / step
         assert np.isclose(tangent.coefficients[name], difference, rtol=1e-6, atol=1e-9), name
     along = np.tensordot(gradient.vertices, shift, axes=2)
-    expected = [tangent.coefficients["lift"] + 0.5 * tangent.coefficients["moment"], tangent.coefficients["induced_drag"]]
+    expected = [
+        tangent.coefficients["lift"] + 0.5 * tangent.coefficients["moment"],
+        tangent.coefficients["induced_drag"],
+    ]
     assert np.allclose(along, expected, rtol=1e-9)
     # A point that was never analysed gives the same bytes as the analysis.
     by_point = configuration.vjp({"lift": 1.0}, at=AnalysisPoint(vertices, 0.3, 0.04, 0.0, REFERENCE))
@@ -128,10 +141,16 @@ def test_openmdao_agrees_with_differences(
     # One number moves the vertices: as many differences, not three for each vertex.
     mode = np.random.default_rng(5).normal(size=(configuration.vertex_count, 3)) * [1e-3, 0.0, 1e-3]
     problem = om.Problem(reports=False)
-    morph = om.ExecComp("vertices = base + s * mode", vertices={"shape": mode.shape, "units": "m"}, base=wing()[0], mode=mode, s=0.5)
+    morph = om.ExecComp(
+        "vertices = base + s * mode", vertices={"shape": mode.shape, "units": "m"}, base=wing()[0], mode=mode, s=0.5
+    )
     problem.model.add_subsystem("morph", morph)
     component = PanelComponent(
-        configuration=configuration, reference=REFERENCE, vertices=wing()[0], coefficients=("lift", "induced_drag"), section_loads=True
+        configuration=configuration,
+        reference=REFERENCE,
+        vertices=wing()[0],
+        coefficients=("lift", "induced_drag"),
+        section_loads=True,
     )
     problem.model.add_subsystem("panel", component)
     problem.model.connect("morph.vertices", "panel.vertices")
@@ -150,13 +169,18 @@ def test_openmdao_agrees_with_differences(
             sides.append([problem.get_val(output).copy() for output in of])
         problem.set_val(name, centre)
         for output, up, down in zip(of, *sides, strict=True):
-            assert np.allclose(exact[output, name].ravel(), (up - down) / (2 * step), rtol=1e-5, atol=1e-8), (output, name)
+            assert np.allclose(exact[output, name].ravel(), (up - down) / (2 * step), rtol=1e-5, atol=1e-8), (
+                output,
+                name,
+            )
 
 
 def test_faults_are_exceptions_that_name_them(panels: moldline.panel.Client, configuration: Configuration) -> None:
     vertices, cells, trailing = wing()
     with pytest.raises(moldline.InvalidArgument, match=r"cells\[\d+\]"):
-        panels.create_configuration(vertices, cells[:-1], trailing_edges=Edges(np.column_stack([trailing[:-1], trailing[1:]])))
+        panels.create_configuration(
+            vertices, cells[:-1], trailing_edges=Edges(np.column_stack([trailing[:-1], trailing[1:]]))
+        )
     with pytest.raises(moldline.InvalidArgument, match="wing"):
         panels.create_configuration(vertices, cells, trailing_edges=Groups("wing"))
     with pytest.raises(moldline.InvalidArgument) as caught:
@@ -171,7 +195,7 @@ def test_faults_are_exceptions_that_name_them(panels: moldline.panel.Client, con
 
 
 def test_what_the_server_has_lost_is_sent_again(binary: Path) -> None:
-    """A server that comes back knows nothing; its client need not care."""
+    """A restarted server has lost everything; the client recovers by itself."""
     with Server(binary, "--threads", "2", command=PANELS) as first:
         address = first.address
         panels = moldline.panel.Client(address)
@@ -213,7 +237,7 @@ def test_a_call_that_is_given_up_stops(panel_server: Server, panels: moldline.pa
     with pytest.raises(GiveUp):
         configuration.analyze(reference=REFERENCE, alpha=0.05, progress=stop)
     assert begun.is_set()
-    # Its place is free for the next.
+    # Its place in the pool is free again.
     small = panels.create_configuration(*wing(12, 4)[:2])
     assert small.analyze(reference=REFERENCE, timeout=60).residual <= 1e-12
 
@@ -250,7 +274,7 @@ def test_the_command_line_gives_the_same_numbers(binary: Path, configuration: Co
 def test_the_chain_of_both_services_is_that_of_differences(
     panels: moldline.panel.Client, client: moldline.Client, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """What the E175 example does, on the coarse mesh."""
+    """The E175 example, on the coarse mesh."""
     e175 = ROOT / "examples/e175"
     monkeypatch.syspath_prepend(str(e175))
     from panel_gradient import E175, Chain, scaled_direction

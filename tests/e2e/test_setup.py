@@ -9,6 +9,7 @@ from pathlib import Path
 
 import moldline
 import pytest
+
 import sphere_and_boom
 from server import Server
 
@@ -43,7 +44,9 @@ def test_the_setup_is_described(setup: moldline.Setup) -> None:
     assert setup.report
 
 
-def test_the_same_upload_again_is_the_same_setup(client: moldline.Client, setup: moldline.Setup, setup_folder: Path) -> None:
+def test_the_same_upload_again_is_the_same_setup(
+    client: moldline.Client, setup: moldline.Setup, setup_folder: Path
+) -> None:
     again = client.create_setup(setup_folder)
     assert again.id == setup.id
     assert not again.built

@@ -1,4 +1,4 @@
-"""What is left after the server is killed, and what another one does with it."""
+"""State that survives a killed server, and its use by another one."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ from pathlib import Path
 import grpc
 import numpy as np
 import pytest
-import seaweed
 from moldline import arrays
 from moldline.v1 import mesh_service_pb2 as wire
 from moldline.v1 import mesh_service_pb2_grpc
+
+import seaweed
 from server import Server
 
 Stub = mesh_service_pb2_grpc.MeshServiceStub
@@ -46,7 +47,7 @@ def test_a_session_goes_on_after_kill_9(binary: Path, setup_folder: Path, tmp_pa
         before = deform(meshes, stored)
         server.process.kill()
         server.process.wait()
-    # Two servers at once on what is left.
+    # Two servers at once on the same store.
     with Server(binary, store=store) as one, Server(binary, store=store) as two:
         for server in (one, two):
             with stub(server) as meshes:

@@ -35,7 +35,7 @@ def asked(binary: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tu
 
 
 def test_the_model_knows_the_geometry(asked: tuple[Any, Any]) -> None:
-    """Its constants are those of the set-up."""
+    """The model's constants agree with the set-up."""
     values = {function.name: function.value for function in asked[0].setup.functions}
     assert set(aircraft.GEOMETRY) <= set(values)
     assert values["fuselage.volume"] == pytest.approx(aircraft.BASELINE_VOLUME, rel=1e-9)
@@ -54,7 +54,9 @@ def test_both_programs_have_the_same_derivatives_and_those_of_differences(asked:
     gradient, jacobian, _ = with_openmdao.derivatives(x)
     exact = np.vstack([gradient, jacobian])
     weights = np.array([plain.OBJECTIVE_WEIGHT, *np.ones(len(limits))])
-    np.testing.assert_allclose(by_hand.gradients(x), weights[:, None] * exact, rtol=1e-9, atol=1e-9 * np.abs(exact).max())
+    np.testing.assert_allclose(
+        by_hand.gradients(x), weights[:, None] * exact, rtol=1e-9, atol=1e-9 * np.abs(exact).max()
+    )
 
     step = 2e-3
     ends = [by_hand.values(x + shift * step * direction) / weights for shift in (-2, -1, 1, 2)]
@@ -65,7 +67,7 @@ def test_both_programs_have_the_same_derivatives_and_those_of_differences(asked:
 def test_a_run_improves_and_a_resumed_one_has_the_same_iterates(asked: tuple[Any, Any], tmp_path: Path) -> None:
     _, whole = study.solve("without", *asked, tmp_path / "whole", iterations=3, resume=False)
     start, end = whole.iterates[0], whole.iterates[-1]
-    # Trimmed; and on its way, with a mesh that is as good as it was.
+    # Trimmed, improving, and with a mesh as good as at the start.
     assert start.infeasibility <= 1e-8
     assert 0.2 < start.notes["values"]["results"]["fuel_fraction"] < 0.26
     assert end.objective < start.objective

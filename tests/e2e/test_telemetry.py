@@ -1,4 +1,4 @@
-"""What a server tells of itself: numbers, log lines, traces."""
+"""Observability: metrics, log lines, traces."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from pathlib import Path
 import grpc
 import pytest
 import requests
+
 from server import Server
 
 EXPORT = "/opentelemetry.proto.collector.trace.v1.TraceService/Export"
@@ -18,7 +19,7 @@ EXPORT = "/opentelemetry.proto.collector.trace.v1.TraceService/Export"
 
 @pytest.fixture
 def collector() -> Iterator[tuple[str, queue.Queue[bytes]]]:
-    """A stand-in for an OpenTelemetry collector: keeps what is sent to it."""
+    """A stand-in for an OpenTelemetry collector; it keeps the spans that it receives."""
     received: queue.Queue[bytes] = queue.Queue()
 
     def export(request: bytes, context: grpc.ServicerContext) -> bytes:
@@ -36,9 +37,7 @@ def collector() -> Iterator[tuple[str, queue.Queue[bytes]]]:
     server.stop(None)
 
 
-def test_traces_go_to_the_collector_below_the_callers(
-    binary: Path, collector: tuple[str, queue.Queue[bytes]]
-) -> None:
+def test_traces_go_to_the_collector_below_the_callers(binary: Path, collector: tuple[str, queue.Queue[bytes]]) -> None:
     address, received = collector
     trace = "0af7651916cd43dd8448eb211c80319c"
     with Server(binary, "--otlp", address) as server:

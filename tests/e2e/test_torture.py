@@ -1,4 +1,4 @@
-"""The trials of `cargo xtask torture`, small: whether each reaches its goals, apart from those of time."""
+"""Small versions of the trials of `cargo xtask torture`: each must reach its goals, except those of time."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import pytest
 
 sys.path.append(str(Path(__file__).parents[1] / "torture"))
 
-import torture  # noqa: E402
-import trial  # noqa: E402
+import torture
+import trial
 
 
 @pytest.mark.parametrize("name", torture.TRIALS)

@@ -1,4 +1,4 @@
-"""Disks that are full or cannot be written to, and bytes that are not those that were written."""
+"""Disks that are full or read-only, and stored bytes that have changed."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from pathlib import Path
 import moldline
 import numpy as np
 from numpy.typing import NDArray
+
 from server import Server
 from trial import IMPATIENT, Row, Trial, bar, refused
 
@@ -18,7 +19,7 @@ SIZE = 64
 
 
 class SmallDisk:
-    """A disk of a server's own, in namespaces of its own: nothing is mounted for anybody else, and nobody needs to be root."""
+    """A disk of the server's own, in namespaces of its own: nothing is mounted for others, and root is not needed."""
 
     def __init__(self, folder: Path) -> None:
         folder.mkdir()
@@ -30,7 +31,7 @@ class SmallDisk:
 
     @classmethod
     def possible(cls, folder: Path) -> bool:
-        """Whether the system allows it."""
+        """Whether the system allows such a disk."""
         disk = cls(folder)
         try:
             return subprocess.run([*disk.within, "true"], capture_output=True, timeout=60).returncode == 0
@@ -38,7 +39,7 @@ class SmallDisk:
             return False
 
     def of(self, server: Server) -> None:
-        """The disk lasts as long as this server."""
+        """Starts a server; the disk lasts as long as it does."""
         self._server = server
 
     @property
@@ -48,15 +49,15 @@ class SmallDisk:
         return ("nsenter", "--target", str(self._server.process.pid), "--user", "--mount", "--preserve-credentials")
 
     def run(self, *command: str) -> subprocess.CompletedProcess[str]:
-        """A program that sees the disk, to its end."""
+        """Runs a program that sees the disk to its end."""
         return subprocess.run([*self.beside, *command], capture_output=True, text=True, timeout=60)
 
     def fill(self) -> None:
-        """To the last byte."""
+        """Fills the disk to the last byte."""
         self.run("sh", "-c", f"cat /dev/zero > '{self.folder}/filler'; sync")
 
     def empty(self) -> None:
-        """Takes back what :meth:`fill` has taken."""
+        """Frees the space that :meth:`fill` took."""
         assert self.run("rm", f"{self.folder}/filler").returncode == 0
 
     def remount(self, mode: str) -> None:
@@ -66,7 +67,7 @@ class SmallDisk:
 
 
 class LimitedFiles:
-    """In place of a small disk, where none can be mounted: files that may not grow."""
+    """A substitute for a small disk where none can be mounted: files that may not grow."""
 
     within = ("sh", "-c", "trap '' XFSZ; exec \"$@\"", "sh")
     beside = ()
@@ -80,11 +81,11 @@ class LimitedFiles:
         self._server = server
 
     def run(self, *command: str) -> subprocess.CompletedProcess[str]:
-        """A program, to its end."""
+        """Runs a program to its end."""
         return subprocess.run(command, capture_output=True, text=True, timeout=60)
 
     def fill(self) -> None:
-        """No file gets a byte."""
+        """No file may grow."""
         self._limit(0)
 
     def empty(self) -> None:
@@ -97,7 +98,7 @@ class LimitedFiles:
 
 
 class User:
-    """A set-up and a session in a store, and what servers are asked for on good and bad days."""
+    """A set-up and a session in a store, and the requests that a server must serve or refuse."""
 
     def __init__(self, trial: Trial, client: moldline.Client) -> None:
         self._trial = trial
@@ -109,7 +110,7 @@ class User:
         self._expected = session.deform(self._design).vertices.tobytes()
 
     def refusals(self, client: moldline.Client, kind: type[moldline.MoldlineError], words: str) -> list[str]:
-        """What is unlike a clear refusal, of all that cannot be stored; empty where it is one."""
+        """Deviations from a clear refusal of requests that cannot be stored; empty if there are none."""
         setup, session = client.get_setup(self._setup.id), client.resume(self._session_id)
         calls: list[Callable[[], object]] = [
             lambda: client.create_setup(self._trial.writer_setup(words)),
@@ -122,7 +123,7 @@ class User:
         return [refused(call, kind, words) for call in calls]
 
     def is_served(self, client: moldline.Client) -> bool:
-        """Whether everything that is stored is served, with the bits of before."""
+        """Whether everything stored is served with the same bits as before."""
         try:
             session = client.resume(self._session_id)
             deformation = session.deform(self._design)
@@ -146,7 +147,7 @@ class User:
 
 
 def full(trial: Trial) -> list[Row]:
-    """The trial of a disk that fills, and of one that can only be read."""
+    """Trial: a disk that fills, and one that is read-only."""
     mounted = SmallDisk.possible(trial.folder / "probe")
     disk: SmallDisk | LimitedFiles = SmallDisk(trial.folder / "disk") if mounted else LimitedFiles(trial.folder)
     store = disk.folder / "store"
@@ -189,12 +190,12 @@ def full(trial: Trial) -> list[Row]:
 
 Design = NDArray[np.float64]
 
-#: What is damaged, by the beginning of the objects' names.
+#: Kinds of objects to damage, by the prefix of their names.
 KINDS = ("blob", "setup", "derived", "access", "session")
 
 
 def damaged(trial: Trial) -> list[Row]:
-    """The trial of flipped bits and cut files, one kind of object after the other, each with a server that holds nothing."""
+    """Trial: flipped bits and truncated files, one kind of object after the other, each with a fresh server."""
     store = trial.folder / "store"
     undetected: list[str] = []
     unserved: list[str] = []
@@ -231,18 +232,21 @@ def damaged(trial: Trial) -> list[Row]:
                 found = trial.verify(store)
                 if [name.as_posix() in line for line in found] != [True]:
                     undetected.append(f"{case}: verify says {found}")
-                with Server(trial.binary, "--log", "warn", store=store) as server, server.client(retry=IMPATIENT) as client:
+                with (
+                    Server(trial.binary, "--log", "warn", store=store) as server,
+                    server.client(retry=IMPATIENT) as client,
+                ):
                     answer = ask(client, session.id, design, expected)
-                    # What was derived is derived again.
+                    # Derived data are recomputed.
                     named = name.as_posix() in answer and "damaged" in answer
                     if not (answer == "as before" if kind == "derived" else named):
                         undetected.append(f"{case}: {answer}")
                     if not (other.is_served(client) and other.can_write(client, case)):
                         unserved.append(case)
                     if kind in mendable:
-                        # The same content again mends it.
+                        # An upload of the same content repairs it.
                         answer = ask(client, session.id, design, expected, folder)
-                        # In the place of a record comes another; the damaged one stays for the collector.
+                        # A new record takes its place; the damaged one stays for garbage collection.
                         left = [] if kind == "access" else trial.verify(store)
                         if answer != "as before" or left:
                             unmended.append(f"{case}: {answer}, {left}")

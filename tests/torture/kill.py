@@ -1,4 +1,4 @@
-"""Servers killed in the middle of everything, and what was acknowledged before."""
+"""Servers killed at random times; everything acknowledged must survive."""
 
 from __future__ import annotations
 
@@ -8,18 +8,19 @@ import time
 
 import moldline
 import numpy as np
+
 from server import Server
 from trial import PATIENT, Problem, Row, Trial, bar, different
 
 WRITERS = 4
 #: Updates of each of a writer's sessions.
 UPDATES = 5
-#: Seconds for the optimization to come to as many designs as there were kills.
+#: Seconds for the optimization to reach as many designs as there were kills.
 PATIENCE = 120
 
 
 class Writer(threading.Thread):
-    """Uploads set-ups, opens sessions, stores designs, closes some; remembers what was acknowledged."""
+    """Uploads set-ups, opens sessions, stores designs, closes some; records every acknowledgement."""
 
     def __init__(self, trial: Trial, address: str, number: int, stopping: threading.Event) -> None:
         super().__init__(daemon=True)
@@ -59,7 +60,7 @@ class Writer(threading.Thread):
 
 
 class Optimizer(threading.Thread):
-    """Runs until it is told to stop; the designs are those that were acknowledged."""
+    """Runs until it is stopped; returns the acknowledged designs."""
 
     def __init__(self, problem: Problem, address: str, session_id: str, stopping: threading.Event) -> None:
         super().__init__(daemon=True)
@@ -79,7 +80,7 @@ class Optimizer(threading.Thread):
 
 
 def kill(trial: Trial) -> list[Row]:
-    """The trial."""
+    """Trial: kills under load."""
     scale, store = trial.scale, trial.folder / "store"
     pauses = np.random.default_rng()
     options = ["--max-setups", "100000", "--max-sessions", "100000", "--log", "warn"]
@@ -117,7 +118,7 @@ def kill(trial: Trial) -> list[Row]:
         with server.client() as client:
             lost_setups, lost_sessions = lost(client, writers)
         faults += trial.verify(store)
-        # Another server that knows nothing of it.
+        # Another server, with empty memory.
         with Server(trial.binary, "--log", "warn") as other, other.client() as client:
             expected = problem.undisturbed(client, scale.setup, len(optimizer.designs))
     finally:
@@ -140,7 +141,7 @@ def kill(trial: Trial) -> list[Row]:
 
 
 def lost(client: moldline.Client, writers: list[Writer]) -> tuple[int, int]:
-    """Set-ups and sessions that were acknowledged, and are not what they were."""
+    """Acknowledged set-ups and sessions that are missing or have changed."""
     setups = sessions = 0
     names = {summary.id: summary.name for summary in client.list_setups()}
     open_sessions = {state.id for state in client.list_sessions()}

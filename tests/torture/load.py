@@ -1,4 +1,4 @@
-"""Many sessions at once that deform and ask for gradients, more than the server has time and memory for."""
+"""More concurrent sessions, deforming and taking gradients, than the server has time and memory for."""
 
 from __future__ import annotations
 
@@ -9,17 +9,18 @@ from pathlib import Path
 
 import moldline
 import numpy as np
+
 from server import Server
 from trial import IMPATIENT, Row, Trial, bar
 
-#: Requests of each kind by which the time alone is taken.
+#: Requests of each kind that measure the time without load.
 ALONE = 10
 MIB = 1 << 20
 
 
 @dataclass
 class User:
-    """One session, whose next request follows upon the answer to the last."""
+    """One session, which sends its next request after the previous answer."""
 
     session: moldline.Session
     number: int
@@ -29,7 +30,7 @@ class User:
     errors: list[str] = field(default_factory=list)
 
     def work(self, requests: int | None, end: float) -> None:
-        """So many requests, or until the end."""
+        """Sends so many requests, or until the end."""
         setup = self.session.setup
         random = np.random.default_rng(self.number)
         lower, upper = setup.bounds
@@ -55,7 +56,7 @@ class User:
 
 
 def load(trial: Trial) -> list[Row]:
-    """The trial."""
+    """Trial: overload."""
     scale = trial.scale
     setups, linearisations = scale.memory
     options = ["--setup-memory", str(setups), "--linearisation-memory", str(linearisations), "--log", "warn"]
@@ -67,7 +68,9 @@ def load(trial: Trial) -> list[Row]:
             alone.work(2 * ALONE, end=time.monotonic() + 600)
             expected = {kind: float(np.mean(of)) for kind, of in alone.seconds.items()}
             start = time.monotonic()
-            threads = [threading.Thread(target=user.work, args=(None, start + scale.seconds), daemon=True) for user in users]
+            threads = [
+                threading.Thread(target=user.work, args=(None, start + scale.seconds), daemon=True) for user in users
+            ]
             for thread in threads:
                 thread.start()
             with bar(f"{len(users)} sessions", scale.seconds, "s") as progress:
@@ -84,7 +87,7 @@ def load(trial: Trial) -> list[Row]:
         peak = memory(server, "VmHWM") / MIB
     seconds = {kind: [s for user in users for s in user.seconds[kind]] for kind in expected}
     everything = np.concatenate(list(seconds.values()))
-    # What each has to wait if all are served in turn, each request taking as long as alone.
+    # Waiting time of each if all are served in turn and each request takes as long as it does alone.
     shares = {kind: len(of) / len(everything) for kind, of in seconds.items()}
     fair = len(users) * sum(shares[kind] * expected[kind] for kind in expected)
     by_user = [sum(map(len, user.seconds.values())) for user in users]
@@ -93,7 +96,8 @@ def load(trial: Trial) -> list[Row]:
     held = caches.linearisation_cache
     rows = [
         Row(f"{len(users)} sessions, Deform and ApplyAdjoint", took, "s", "", f"{len(everything)} answers"),
-        Row("errors other than RESOURCE_EXHAUSTED", len(errors) + stuck, "errors", "== 0", "; ".join(sorted(set(errors))[:3])),
+        Row("errors other than RESOURCE_EXHAUSTED", len(errors) + stuck, "errors", "== 0",
+            "; ".join(sorted(set(errors))[:3])),
         Row("refused with RESOURCE_EXHAUSTED", sum(user.refused for user in users), "requests"),
         Row("sessions without any answer", by_user.count(0), "sessions", "== 0"),
         Row("p99 over fair share", float(np.quantile(everything, 0.99)) / fair, "1", "<= 3", f"a fair share is {fair:.2f} s",

@@ -1,4 +1,4 @@
-"""Servers that come and go while the store stays: one that starts anew, and two at once on an object store."""
+"""Servers that come and go while the store stays: restarts, and two servers on one object store."""
 
 from __future__ import annotations
 
@@ -11,20 +11,21 @@ from pathlib import Path
 import grpc
 import moldline
 import numpy as np
-import seaweed
 from moldline import arrays
 from moldline.v1 import mesh_service_pb2 as wire
 from moldline.v1 import mesh_service_pb2_grpc
+
+import seaweed
 from server import Server
 from trial import IMPATIENT, PATIENT, Problem, Row, Trial, bar, different, refused
 
-#: Updates of the same generation that are sent at once, and how often.
+#: Concurrent updates of the same generation, and repetitions.
 CONTENDERS = 8
 CONTESTS = 5
 
 
 def restart(trial: Trial) -> list[Row]:
-    """From the start of the process to the first Deform of a set-up that the store has."""
+    """Trial: time from the start of the process to the first Deform of a stored set-up."""
     store = trial.folder / "store"
     with Server(trial.binary, store=store) as server, server.client() as client:
         setup = client.create_setup(trial.scale.setup)
@@ -52,7 +53,8 @@ def restart(trial: Trial) -> list[Row]:
     name = f"from the start of the process to the first Deform, {setup.cell_count} cells"
     return [
         Row(name, 1e3 * float(np.median(seconds)), "ms", "<= 300",
-            f"median of {len(seconds)}, slowest {1e3 * max(seconds):.0f}; the first build took {1e3 * build:.0f}", timed=True),
+            f"median of {len(seconds)}, slowest {1e3 * max(seconds):.0f}; the first build took {1e3 * build:.0f}",
+            timed=True),
         Row("of which the server's processor time", 1e3 * float(np.median(processor)), "ms"),
         Row("restarts that factorised again, by the log", built, f"of {len(seconds)}", "== 0"),
         Row("restarts that gave other bits", wrong, f"of {len(seconds)}", "== 0"),
@@ -60,7 +62,7 @@ def restart(trial: Trial) -> list[Row]:
 
 
 def processor_time(server: Server) -> float:
-    """Seconds that the server has computed, on all cores."""
+    """Processor time of the server, s."""
     fields = Path(f"/proc/{server.process.pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
@@ -69,11 +71,14 @@ def replicas(trial: Trial) -> list[Row]:
     """Two servers on one object store: a session moves from one to the other again and again, and both write at once."""
     steps = trial.scale.steps
     if seaweed.program() is None:
-        return [Row("two servers: designs unlike those of one", None, f"of {steps}", "== 0", "SeaweedFS is not installed")]
+        return [
+            Row("two servers: designs unlike those of one", None, f"of {steps}", "== 0", "SeaweedFS is not installed")
+        ]
     with ExitStack() as stack:
         objects = stack.enter_context(seaweed.SeaweedFS(trial.folder / "objects"))
         servers = [
-            stack.enter_context(Server(trial.binary, store=objects.store, environment=objects.environment)) for _ in range(2)
+            stack.enter_context(Server(trial.binary, store=objects.store, environment=objects.environment))
+            for _ in range(2)
         ]
         clients = [stack.enter_context(server.client(retry=PATIENT)) for server in servers]
         setup = clients[0].create_setup(trial.scale.setup)
@@ -82,7 +87,7 @@ def replicas(trial: Trial) -> list[Row]:
         designs = []
         with bar("two servers", steps, "steps") as progress:
             for step in range(steps):
-                # What the other server did last is all that this one knows.
+                # This server knows the session from the store only.
                 designs.append(problem.advance(clients[step % 2].resume(session_id)).tobytes())
                 progress.update()
         winners = [contest(clients, session_id) for _ in range(CONTESTS)]
@@ -103,7 +108,7 @@ def replicas(trial: Trial) -> list[Row]:
 
 
 def outage(objects: seaweed.SeaweedFS, server: Server) -> list[Row]:
-    """The object store is killed under a server, and comes back."""
+    """Trial: the object store is killed under a server, and comes back."""
     with server.client(retry=IMPATIENT) as client:
         session = client.resume(client.list_sessions()[0].id)
         expected = session.deform(session.design.design).vertices.tobytes()
@@ -116,14 +121,16 @@ def outage(objects: seaweed.SeaweedFS, server: Server) -> list[Row]:
         kept = session.generation == generation
         session.update(label="stored")
         return [
-            Row("object store killed: updates not refused with a clear error", int(answer != ""), "of 1", "== 0", answer),
+            Row(
+                "object store killed: updates not refused with a clear error", int(answer != ""), "of 1", "== 0", answer
+            ),
             Row("object store killed: known sessions not served from memory", int(not served), "of 1", "== 0"),
             Row("object store back: sessions that lost or gained an update", int(not kept), "of 1", "== 0"),
         ]
 
 
 def contest(clients: list[moldline.Client], session_id: str) -> int:
-    """How many of those win who update the same generation at once."""
+    """Number of winners among concurrent updates of one generation."""
     sessions = [clients[number % 2].resume(session_id) for number in range(CONTENDERS)]
 
     def update(number: int) -> bool:

@@ -2,7 +2,7 @@
 
     cargo xtask torture [--short]
 
-Prints a table of what was found beside the goals, and writes it as JSON. Fails if a goal is missed.
+Prints a table of results beside the goals, and writes it as JSON. Fails if a goal is missed.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ def main() -> int:
 
 
 def table(rows: list[Row]) -> None:
-    """For people."""
+    """The table for the terminal."""
     for row in rows:
         mark = {True: "reached", False: "MISSED", None: ""}[row.reached]
         value = "not measured" if row.value is None else f"{row.value:.4g}"

@@ -1,4 +1,4 @@
-"""What all trials have: a set-up, a place, figures with goals, and an optimization that can be interrupted."""
+"""Common parts of the trials: a set-up, a folder, figures with goals, and an optimization that can be interrupted."""
 
 from __future__ import annotations
 
@@ -12,15 +12,16 @@ from typing import Any
 
 import moldline
 import numpy as np
-import sphere_and_boom
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+import sphere_and_boom
+
 E175 = Path(__file__).resolve().parents[2] / "examples" / "e175"
 
-#: Tries for a minute and more, since servers come and go.
+#: Retries for more than a minute, since servers come and go.
 PATIENT = moldline.Retry(attempts=1000, longest_pause=0.5)
-#: Every refusal is seen.
+#: No retries: every refusal is counted.
 IMPATIENT = moldline.Retry(attempts=1)
 
 
@@ -32,15 +33,15 @@ class Row:
     #: `None` if it cannot be measured here; `note` says why.
     value: float | None
     unit: str
-    #: `== 0`, `<= 300`, `>= 1`, or empty for a figure that is only told.
+    #: `== 0`, `<= 300`, `>= 1`, or empty for a figure without a goal.
     goal: str = ""
     note: str = ""
-    #: Whether the figure depends on the machine's speed, and on who else uses it.
+    #: Whether the figure depends on the machine's speed and load.
     timed: bool = False
 
     @property
     def reached(self) -> bool | None:
-        """`None` where there is nothing to reach, or nothing was measured."""
+        """`None` without a goal or a measurement."""
         if not self.goal or self.value is None:
             return None
         relation, limit = self.goal.split()
@@ -54,7 +55,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Scale:
-    """How much of everything."""
+    """Sizes of the trials."""
 
     #: The set-up of load, restart and optimizations.
     setup: Path
@@ -66,19 +67,19 @@ class Scale:
     seconds: float
     #: Budgets of the server's memory for set-ups and linearisations under load, MiB.
     memory: tuple[int, int]
-    #: Servers started anew to take the time.
+    #: Restarts that are timed.
     restarts: int
     #: Steps of the optimization that moves from server to server.
     steps: int
 
 
 def whole(folder: Path) -> Scale:
-    """What the goals say."""
+    """The sizes that the goals are for."""
     return Scale(E175, 20, 6.0, 64, 120.0, (256, 512), 7, 12)
 
 
 def short(folder: Path) -> Scale:
-    """Three minutes at most."""
+    """For a short run: three minutes at most."""
     return Scale(E175, 6, 3.0, 64, 25.0, (256, 512), 3, 6)
 
 
@@ -97,13 +98,12 @@ class Trial:
     scale: Scale
 
     def writer_setup(self, name: str, rings: int = 6) -> Path:
-        """A set-up that is quickly built, of a name and thus an id of its own."""
+        """A set-up that builds quickly, with its own name and thus its own id."""
 
         def rename(document: dict[str, Any], *_: object) -> None:
             document["name"] = name
 
         return sphere_and_boom.write(self.folder / "setups" / name, rings, change=rename)
-
 
     def verify(
         self,
@@ -111,7 +111,7 @@ class Trial:
         environment: Mapping[str, str] = MappingProxyType({}),
         within: tuple[str, ...] = (),
     ) -> list[str]:
-        """What `moldline store verify` finds damaged."""
+        """Objects that `moldline store verify` reports as damaged."""
         command = [*within, str(self.binary), "store", "verify", "--store", str(store)]
         found = subprocess.run(command, capture_output=True, text=True, timeout=120, env={**os.environ, **environment})
         lines = found.stdout.splitlines()
@@ -119,7 +119,7 @@ class Trial:
 
 
 def bar(title: str, total: float, unit: str) -> tqdm:
-    """For people, where there is a terminal."""
+    """A progress bar, if there is a terminal."""
     form = "{desc}: {percentage:3.0f}%|{bar}| {n:.0f}/{total:.0f} {unit} {postfix}"
     return tqdm(total=total, desc=title, unit=unit, bar_format=form, leave=False, disable=None)
 
@@ -128,8 +128,8 @@ def bar(title: str, total: float, unit: str) -> tqdm:
 class Problem:
     """Fits the mesh to that of a design in the neighbourhood, by steepest descent.
 
-    A step depends on nothing but the design that it starts from, and that is read from the session: whatever happens to
-    servers and sessions in between, the same steps have to follow, bit by bit.
+    A step depends only on the design that it starts from, which is read from the session. Whatever happens to servers and
+    sessions in between, the same steps must follow, bit by bit.
     """
 
     #: float64, (n, 3), metres.
@@ -152,7 +152,9 @@ class Problem:
             target = session.deform(baseline + 0.04 * signs * width).vertices
             columns = session.jacobian().vertices.reshape(len(baseline), -1) * width[:, None]
         largest = np.linalg.eigvalsh(columns @ columns.T)[-1]
-        return cls(np.array(target), np.where(free, lower, baseline), np.where(free, upper, baseline), width**2 / largest)
+        return cls(
+            np.array(target), np.where(free, lower, baseline), np.where(free, upper, baseline), width**2 / largest
+        )
 
     def advance(self, session: moldline.Session) -> NDArray[np.float64]:
         """Stores the next design, and returns it."""
@@ -166,7 +168,7 @@ class Problem:
         return following
 
     def undisturbed(self, client: moldline.Client, setup: Path, steps: int) -> list[bytes]:
-        """The designs of a run in which nothing happens."""
+        """Designs of an undisturbed run."""
         with client.create_setup(setup).session() as session:
             return [self.advance(session).tobytes() for _ in range(steps)]
 
@@ -177,7 +179,7 @@ def different(one: list[bytes], other: list[bytes]) -> int:
 
 
 def refused(call: Callable[[], object], kind: type[moldline.MoldlineError], words: str) -> str:
-    """Empty if a call is refused as it has to be; else what came instead."""
+    """Empty if a call is refused correctly; otherwise a description of the answer."""
     try:
         call()
     except moldline.MoldlineError as error:

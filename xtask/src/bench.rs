@@ -1,4 +1,4 @@
-//! Benchmarks of what the goals name, with their peers.
+//! The benchmarks behind the goals, beside their peers.
 
 use std::{
     cmp::Ordering,
@@ -15,22 +15,22 @@ use crate::{
     python::Python,
 };
 
-/// Turns that the two sides of a comparison take.
+/// Rounds of a comparison, in which its two sides take turns.
 const ROUNDS: usize = 3;
 
-/// Runs the Rust side, scipy on the same data, and the round trips through server and client; writes `out/bench.json`.
+/// Runs the Rust benchmarks, scipy on the same data, and round trips through server and client; writes `out/bench.json`.
 pub fn bench(large: bool, large_folder: Option<PathBuf>) -> Outcome {
     let python = Python::ready()?;
     let data = root().join("out/bench");
     eprintln!("\n==> benchmarks");
-    // A machine's speed changes: both sides of a comparison take turns.
+    // The machine's speed may change: the sides of a comparison take turns.
     let (mut rounds, mut peers) = (Vec::new(), Vec::new());
     for _ in 0..ROUNDS {
         rounds.push(json_lines(goals("interpolation").env("MOLDLINE_BENCH_DATA", &data))?);
-        let answers = json_lines(python.script("examples/bench/rbf.py").arg(&data))?;
-        peers.push(answers.last().ok_or("scipy's side printed nothing")?.clone());
+        let answers = json_lines(python.script("xtask/scripts/bench/rbf.py").arg(&data))?;
+        peers.push(answers.last().ok_or("the benchmark of scipy printed nothing")?.clone());
     }
-    let answer = median(peers, "milliseconds").ok_or("scipy's side gave no time")?;
+    let answer = median(peers, "milliseconds").ok_or("the benchmark of scipy printed no time")?;
     let mut rows: Vec<Value> = (0..rounds[0].len())
         .filter_map(|row| {
             median(rounds.iter().filter_map(|round| round.get(row).cloned()).collect(), "value")
@@ -60,10 +60,12 @@ pub fn bench(large: bool, large_folder: Option<PathBuf>) -> Outcome {
     }
     rows.append(&mut json_lines(&mut engine)?);
     let binary = build_moldline(true)?;
-    rows.append(&mut json_lines(python.script("examples/bench/round_trip.py").arg("--binary").arg(binary))?);
+    rows.append(&mut json_lines(
+        python.script("xtask/scripts/bench/round_trip.py").arg("--binary").arg(binary),
+    )?);
 
     let mut missed = 0;
-    println!("\n{:<84} {:>12} {:<9} goal", "what", "value", "unit");
+    println!("\n{:<84} {:>12} {:<9} goal", "quantity", "value", "unit");
     for row in &mut rows {
         let reached = reached(row);
         row["reached"] = json!(reached);
@@ -84,14 +86,14 @@ pub fn bench(large: bool, large_folder: Option<PathBuf>) -> Outcome {
     Ok(())
 }
 
-/// The benchmark of the engine, one part of it.
+/// One part of the engine's benchmark.
 fn goals(part: &str) -> Command {
     let mut goals = cargo();
     goals.args(["bench", "--locked", "--workspace", "--bench", "goals", "--", part]);
     goals
 }
 
-/// The object whose number is in the middle.
+/// The object with the median number.
 fn median(mut objects: Vec<Value>, key: &str) -> Option<Value> {
     let number = |object: &Value| object[key].as_f64();
     objects.retain(|object| number(object).is_some());
@@ -99,7 +101,7 @@ fn median(mut objects: Vec<Value>, key: &str) -> Option<Value> {
     objects.get(objects.len() / 2).cloned()
 }
 
-/// Whether a goal that is a number is reached; `None` for one that is not.
+/// Whether a numeric goal is reached; `None` if the goal is not numeric.
 fn reached(row: &Value) -> Option<bool> {
     let goal = row["goal"].as_str()?;
     let value = &row["value"];
@@ -115,7 +117,7 @@ fn reached(row: &Value) -> Option<bool> {
     Some(if at_least { value >= limit } else { value <= limit })
 }
 
-/// Runs a program, showing what it says, and collects the lines that are JSON objects.
+/// Runs a program, passes on its messages, and collects the lines that are JSON objects.
 fn json_lines(command: &mut Command) -> Outcome<Vec<Value>> {
     let program = command.get_program().to_string_lossy().into_owned();
     let output = command

@@ -1,4 +1,4 @@
-//! The clients that are compiled: what they need, and how they are built.
+//! The compiled clients: their prerequisites and their builds.
 
 use std::{
     fs,
@@ -10,7 +10,7 @@ use std::{
 
 use crate::process::{Outcome, cargo, command, root, run};
 
-/// What Debian and its relatives call what the C++ client is built with and from.
+/// Debian packages of the tools and libraries that the C++ client needs.
 const PACKAGES: [&str; 6] =
     ["cmake", "g++", "protobuf-compiler", "protobuf-compiler-grpc", "libprotobuf-dev", "libgrpc++-dev"];
 
@@ -27,9 +27,9 @@ pub struct Clients {
 
 impl Clients {
     /// Builds the drivers of the end-to-end tests, installs the C++ client below `target/`, and builds its example against
-    /// what is installed there.
+    /// that installation.
     pub fn built() -> Outcome<Self> {
-        // With the features of the whole workspace, as the tests are built: nothing is compiled twice.
+        // With the features of the whole workspace, as in the tests, so that nothing is compiled twice.
         let mut rust = cargo();
         rust.args(["build", "--locked", "--workspace", "--example", "driver", "--example", "sweep"]);
         run("Rust client's driver and example", &mut rust)?;
@@ -41,7 +41,7 @@ impl Clients {
             .arg(&library);
         if !succeeds(&mut configure) {
             install_packages()?;
-            // What was not there may be remembered.
+            // CMake caches missing libraries.
             let _ = fs::remove_file(library.join("CMakeCache.txt"));
             run("configure the C++ client", &mut configure)?;
         }
@@ -59,7 +59,7 @@ impl Clients {
         })
     }
 
-    /// Tells the end-to-end tests.
+    /// Passes the paths to the end-to-end tests.
     pub fn tell<'a>(&self, tests: &'a mut Command) -> &'a mut Command {
         tests
             .env("MOLDLINE_DRIVER_RUST", &self.rust)
@@ -81,7 +81,7 @@ fn succeeds(command: &mut Command) -> bool {
     command.stdout(Stdio::null()).stderr(Stdio::null()).status().is_ok_and(|status| status.success())
 }
 
-/// Installs what the C++ client needs, where that can be done without asking.
+/// Installs the prerequisites of the C++ client, where that needs no password.
 fn install_packages() -> Outcome {
     let packages = PACKAGES.join(" ");
     let is_root = command("id").arg("-u").output().is_ok_and(|output| output.stdout.trim_ascii() == b"0");

@@ -1,4 +1,4 @@
-//! The demonstration, the figures, the study, the validation and the trials.
+//! The scripts: demonstration, figures, study, validation and torture trials.
 
 use std::path::PathBuf;
 
@@ -7,11 +7,11 @@ use crate::{
     python::Python,
 };
 
-/// Serves, uploads, deforms, reports: `examples/demo/demo.py` against the release build.
+/// Serves, uploads, deforms, reports: `xtask/scripts/demo/demo.py` against the release build.
 pub fn demo(pictures: bool) -> Outcome {
     let python = Python::ready()?;
     let binary = build_moldline(true)?;
-    let mut script = python.script("examples/demo/demo.py");
+    let mut script = python.script("xtask/scripts/demo/demo.py");
     script.arg("--binary").arg(binary).arg("--out").arg(root().join("out/demo"));
     if !pictures {
         script.arg("--no-pictures");
@@ -19,7 +19,7 @@ pub fn demo(pictures: bool) -> Outcome {
     run("demo", &mut script)
 }
 
-/// The fuel-burn study: `examples/e175/study/study.py` against the release build, with what the caller passes on.
+/// The fuel-burn study: `examples/e175/study/study.py` against the release build, with the caller's arguments.
 pub fn study(arguments: &[String]) -> Outcome {
     let python = Python::ready()?;
     let binary = build_moldline(true)?;
@@ -28,16 +28,16 @@ pub fn study(arguments: &[String]) -> Outcome {
     run("study", &mut script)
 }
 
-/// The panel method where the flow is known: `examples/panel/validate.py` against the release build; writes docs/validation.md.
+/// Validation of the panel method on known flows: `xtask/scripts/panel/validate.py` against the release build; writes docs/validation.md.
 pub fn validate_panel() -> Outcome {
     let python = Python::ready()?;
     let binary = build_moldline(true)?;
-    let mut script = python.script("examples/panel/validate.py");
+    let mut script = python.script("xtask/scripts/panel/validate.py");
     script.arg("--binary").arg(binary).arg("--out").arg(root().join("out/panel"));
     run("validation of the panel method", script.arg("--docs").arg(root().join("docs")))
 }
 
-/// Kills, loads, full disks and two servers: `tests/torture/torture.py` against the release build.
+/// Torture trials (kills, load, full disks, two servers): `tests/torture/torture.py` against the release build.
 pub fn torture(short: bool, only: &[String]) -> Outcome {
     let python = Python::ready()?;
     let binary = build_moldline(true)?;
@@ -55,12 +55,12 @@ pub fn figures(large: Option<PathBuf>) -> Outcome {
     let python = Python::ready()?;
     let folder = large_mesh(&python, large)?;
     let binary = build_moldline(true)?;
-    let mut script = python.script("examples/demo/figures.py");
+    let mut script = python.script("xtask/scripts/demo/figures.py");
     script.arg("--binary").arg(binary).arg("--mesh").arg(folder);
     run("figures", script.arg("--out").arg(root().join("docs/images")))
 }
 
-/// Folder of the mesh of about 100,000 cells: the one given, or `out/e175-100k`, made if it is not there.
+/// Folder of the mesh of about 100,000 cells: the one given, or `out/e175-100k`, made if it is missing.
 pub fn large_mesh(python: &Python, given: Option<PathBuf>) -> Outcome<PathBuf> {
     if let Some(folder) = given {
         let folder =
@@ -71,7 +71,7 @@ pub fn large_mesh(python: &Python, given: Option<PathBuf>) -> Outcome<PathBuf> {
         };
     }
     let folder = root().join("out/e175-100k");
-    // The report is written last: with it, the mesh is whole.
+    // The report is written last: if it exists, the mesh is complete.
     if !folder.join("report.json").is_file() {
         python.with_meshing()?;
         let mut script = python.script("examples/e175/make.py");

@@ -1,44 +1,42 @@
-//! Fuzzing of everything that reads bytes of users.
+//! Fuzzing of everything that reads users' bytes.
 
 use std::{
     fs,
     io::{BufRead, BufReader},
-    path::PathBuf,
     process::{Command, Stdio},
 };
 
 use crate::{
-    process::{Outcome, cargo, command, root, run},
+    process::{Outcome, command, root, run},
     python::Python,
+    tools,
 };
 
-/// The version of cargo-fuzz that is installed.
-const CARGO_FUZZ: &str = "0.13.2";
 /// Longest input, bytes.
 const LONGEST: usize = 64 << 10;
-/// Largest piece of memory that may be asked for, and all that the process may have, MiB: the targets' limits are 1 MiB of
-/// files and 10,000 vertices, and the sanitizer keeps 256 MiB of freed memory back.
+/// Largest single allocation and largest resident set, MiB: the targets' limits are 1 MiB of files and 10,000 vertices, and
+/// the sanitizer retains 256 MiB of freed memory.
 const PIECE: usize = 16;
 const MEMORY: usize = 1024;
-/// Seconds that one input may take.
+/// Longest time for one input, s.
 const PATIENCE: usize = 20;
 
-/// How far a target came.
+/// Progress of a target.
 #[derive(Debug, Default)]
 struct Progress {
     executions: String,
-    /// Edges of the program's flow that were seen.
+    /// Covered edges of the control flow.
     coverage: String,
     finding: Option<String>,
 }
 
-/// Runs the targets one after the other for so many seconds each. The corpus in `fuzz/corpus` goes on from run to run.
+/// Runs the targets one after the other, for `seconds` each. The corpus in `tests/fuzz/corpus` grows from run to run.
 pub fn fuzz(seconds: u64, only: &[String]) -> Outcome {
-    let tool = installed()?;
+    let tool = tools::FUZZ.ready()?;
     let cargo_fuzz = |verb: &str| {
         let mut command = command(&tool);
-        // The sanitizer is an option of the compiler that only nightly ones take unasked.
-        command.arg(verb).env("RUSTC_BOOTSTRAP", "1");
+        // The sanitizer is an unstable option of the compiler.
+        command.args([verb, "--fuzz-dir", "tests/fuzz"]).env("RUSTC_BOOTSTRAP", "1");
         command
     };
     let listed = cargo_fuzz("list").output().map_err(|error| format!("cargo fuzz: {error}"))?;
@@ -49,11 +47,11 @@ pub fn fuzz(seconds: u64, only: &[String]) -> Outcome {
     let targets = if only.is_empty() { &all[..] } else { only };
 
     let seeds = root().join("target/fuzz-seeds");
-    run("seeds", Python::ready()?.script("fuzz/seeds.py").arg(&seeds))?;
+    run("seeds", Python::ready()?.script("tests/fuzz/seeds.py").arg(&seeds))?;
     run("build the targets", cargo_fuzz("build").args(["--target-dir", "target/fuzz"]))?;
     let mut rows = Vec::with_capacity(targets.len());
     for target in targets {
-        let corpus = root().join("fuzz/corpus").join(target);
+        let corpus = root().join("tests/fuzz/corpus").join(target);
         fs::create_dir_all(&corpus).map_err(|error| format!("cannot make {}: {error}", corpus.display()))?;
         let mut fuzzing = cargo_fuzz("run");
         fuzzing.args([target, "--target-dir", "target/fuzz"]).arg(&corpus).arg(seeds.join(target));
@@ -76,24 +74,12 @@ pub fn fuzz(seconds: u64, only: &[String]) -> Outcome {
     match rows.iter().filter(|(_, progress)| progress.finding.is_some()).count() {
         0 => Ok(()),
         findings => {
-            Err(format!("{findings} targets have findings; the messages above say how to see them again"))
+            Err(format!("{findings} targets have findings; the messages above say how to reproduce them"))
         }
     }
 }
 
-/// Where cargo-fuzz is, installed now if it was not.
-fn installed() -> Outcome<PathBuf> {
-    let folder = root().join("target/tools");
-    let tool = folder.join("bin").join(if cfg!(windows) { "cargo-fuzz.exe" } else { "cargo-fuzz" });
-    if !tool.is_file() {
-        let mut install = cargo();
-        install.args(["install", "cargo-fuzz", "--version", CARGO_FUZZ, "--locked", "--root"]).arg(&folder);
-        run(&format!("cargo-fuzz {CARGO_FUZZ}"), &mut install)?;
-    }
-    Ok(tool)
-}
-
-/// Runs a target to its end, and shows what it says.
+/// Runs a target to its end, and passes on its messages.
 fn watch(fuzzing: &mut Command) -> Outcome<Progress> {
     let cannot = |error: std::io::Error| format!("cannot run cargo fuzz: {error}");
     let mut child = fuzzing.stderr(Stdio::piped()).spawn().map_err(cannot)?;

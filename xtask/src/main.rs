@@ -1,16 +1,18 @@
 //! The repository's own commands: `cargo xtask demo | figures | study | validate-panel | test | lint | clients | bench |
 //! torture | fuzz`.
 //!
-//! They need Rust, a C compiler and Python >= 3.11 only; everything else comes from crates.io and PyPI, into `target/`, but
-//! for what the C++ client is built with: that comes from the distribution.
+//! They need only Rust, a C compiler and Python >= 3.11. Everything else comes from crates.io and PyPI, into `target/`, except
+//! the libraries of the C++ client, which come from the distribution.
 
 mod bench;
 mod check;
 mod clients;
 mod demo;
 mod fuzz;
+mod links;
 mod process;
 mod python;
+mod tools;
 
 use std::{path::PathBuf, process::ExitCode};
 
@@ -28,33 +30,37 @@ struct Cli {
 enum Command {
     /// Deform the E175 through a real server; report, meshes and pictures go to out/demo
     Demo {
-        /// Leave the pictures out
+        /// Leave out the pictures
         #[arg(long)]
         no_pictures: bool,
     },
-    /// Draw the fillet against rho on the 100,000-cell mesh into docs/images (makes the mesh with gmsh if not there)
+    /// Draw the fillet against rho on the 100,000-cell mesh into docs/images (makes the mesh with gmsh if it is missing)
     Figures {
         /// Set-up folder of the fine mesh: mesh.msh and geometry/ [default: out/e175-100k, made if missing]
         #[arg(long)]
         large: Option<PathBuf>,
     },
-    /// The fuel-burn study of the E175 on both services; report, records and pictures go to out/study
+    /// Run the fuel-burn study of the E175 on both services; report, records and pictures go to out/study
     Study {
-        /// For the script, such as --resume, --coarse, --check; see examples/e175/study/study.py
+        /// Arguments of the script, such as --resume, --coarse, --check; see examples/e175/study/study.py
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         arguments: Vec<String>,
     },
-    /// The panel method where the flow is known; numbers and pictures go to out/panel, the page to docs/validation.md
+    /// Validate the panel method on known flows; numbers and pictures go to out/panel, the page to docs/validation.md
     ValidatePanel,
-    /// Everything: lints, all Rust tests, all Python tests
-    Test,
-    /// Formatting, clippy and Python types
+    /// Run what a change must pass: lints, all Rust tests, all Python tests
+    Test {
+        /// Also the long checks: lints of dependencies, demo, torture and a minute of each fuzz target (about an hour)
+        #[arg(long)]
+        all: bool,
+    },
+    /// Check formatting, clippy, rustdoc, licences and uses of dependencies, Python lints and types, spelling, links of documents
     Lint,
     /// Build the Rust and C++ clients with their examples and test drivers; installs gRPC for C++ where it can
     Clients,
-    /// The benchmarks that the goals name, with scipy beside; numbers go to out/bench.json
+    /// Run the benchmarks behind the goals, beside scipy; numbers go to out/bench.json
     Bench {
-        /// Also on the mesh of about 100,000 cells, made with gmsh if it is not there
+        /// Also on the mesh of about 100,000 cells, made with gmsh if it is missing
         #[arg(long)]
         large: bool,
         /// Set-up folder of that mesh: mesh.msh and geometry/
@@ -63,19 +69,19 @@ enum Command {
     },
     /// Kill, overload and starve servers, spoil their disks, move sessions between two; figures go to out/torture.json
     Torture {
-        /// Less of everything: three minutes at most
+        /// Smaller trials: three minutes at most
         #[arg(long)]
         short: bool,
-        /// Only this trial, as in `kill`; several times for several
+        /// Run only this trial, such as `kill`; may be repeated
         #[arg(long, value_name = "TRIAL")]
         only: Vec<String>,
     },
-    /// Feed broken set-ups, meshes, archives and request bodies to what reads them, with cargo-fuzz, which is installed if need be
+    /// Fuzz the readers of set-ups, meshes, archives and request bodies with cargo-fuzz, which is installed if missing
     Fuzz {
-        /// For each target
+        /// Seconds for each target
         #[arg(long, default_value_t = 600)]
         seconds: u64,
-        /// Only these: setup, mesh, archive, body
+        /// Run only these: setup, mesh, archive, body
         #[arg(value_name = "TARGET")]
         only: Vec<String>,
     },
@@ -87,7 +93,7 @@ fn main() -> ExitCode {
         Command::Figures { large } => demo::figures(large),
         Command::Study { arguments } => demo::study(&arguments),
         Command::ValidatePanel => demo::validate_panel(),
-        Command::Test => check::test(),
+        Command::Test { all } => check::test(all),
         Command::Lint => check::lint(),
         Command::Clients => clients::Clients::built().map(drop),
         Command::Bench { large, large_folder } => bench::bench(large, large_folder),

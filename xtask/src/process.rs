@@ -8,7 +8,7 @@ use std::{
     time::Instant,
 };
 
-/// What went wrong, for people.
+/// The result of a command; the error is a message for the terminal.
 pub type Outcome<T = ()> = Result<T, String>;
 
 /// The repository's root.
@@ -19,8 +19,8 @@ pub fn root() -> &'static Path {
 /// The cargo that runs this program.
 pub fn cargo() -> Command {
     let mut cargo = command(env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
-    // What cargo tells this program of its own package: with it, build scripts that ask for such things would run again, and much
-    // be built anew, whenever this program and people call cargo in turn.
+    // Without the variables that describe this package: build scripts depend on them, and much would be rebuilt whenever this
+    // program and its user call cargo in turn.
     let of_package = |name: &str| name.starts_with("CARGO_PKG_") || name.starts_with("CARGO_MANIFEST_");
     for (name, _) in env::vars_os().filter(|(name, _)| name.to_str().is_some_and(of_package)) {
         cargo.env_remove(name);
@@ -35,7 +35,7 @@ pub fn command(program: impl AsRef<OsStr>) -> Command {
     command
 }
 
-/// Runs to the end, under a headline.
+/// Runs a program to its end, under a headline.
 pub fn run(title: &str, command: &mut Command) -> Outcome {
     eprintln!("\n==> {title}");
     let start = Instant::now();
@@ -53,7 +53,7 @@ pub fn run(title: &str, command: &mut Command) -> Outcome {
 pub fn build_moldline(release: bool) -> Outcome<PathBuf> {
     eprintln!("\n==> build moldline");
     let mut command = cargo();
-    // Of the whole workspace, so that dependencies have the features that tests build them with, and are built once.
+    // For the whole workspace, so that dependencies have the same features as in the tests and are built once.
     command.args(["build", "--locked", "--workspace", "--bin", "moldline"]);
     command.args(["--message-format", "json-render-diagnostics"]);
     if release {
@@ -71,7 +71,7 @@ pub fn build_moldline(release: bool) -> Outcome<PathBuf> {
         .filter_map(|line| serde_json::from_str::<serde_json::Value>(line).ok())
         .filter(|message| message["target"]["name"] == "moldline")
         .find_map(|message| message["executable"].as_str().map(PathBuf::from))
-        .ok_or_else(|| "cargo did not say where the program is".to_owned())
+        .ok_or_else(|| "cargo did not report the path of the program".to_owned())
 }
 
 fn show(command: &Command) -> String {

@@ -1,4 +1,4 @@
-//! A Python environment of the repository's own, in `target/venv`.
+//! The repository's Python environment, in `target/venv`.
 
 use std::{
     env, fs,
@@ -10,35 +10,36 @@ use crate::process::{Outcome, command, root, run};
 
 /// Oldest Python, as (major, minor).
 const OLDEST: (u32, u32) = (3, 11);
-/// Requirements of everything that is run here, besides the client's own.
+/// Requirements of all scripts and tests, besides the client's own.
 const REQUIREMENTS: [&str; 4] = [
-    "examples/demo/requirements.txt",
-    "examples/bench/requirements.txt",
+    "xtask/scripts/demo/requirements.txt",
+    "xtask/scripts/bench/requirements.txt",
     "examples/e175/study/requirements.txt",
     "tests/requirements.txt",
 ];
-/// Requirements of what only `figures` and `bench --large` run.
+/// Requirements of the mesher, which only `figures` and `bench --large` run.
 const MESHING: &str = "examples/e175/requirements.txt";
 
 /// A virtual environment with the client and all requirements.
 #[derive(Debug)]
 pub struct Python {
-    program: PathBuf,
+    interpreter: PathBuf,
 }
 
 impl Python {
-    /// The environment, made or brought up to date if what it is made from has changed.
+    /// The environment, made again if any of its ingredients has changed.
     pub fn ready() -> Outcome<Self> {
         let folder = root().join("target/venv");
-        let python =
-            Self { program: folder.join(if cfg!(windows) { "Scripts/python.exe" } else { "bin/python" }) };
+        let python = Self {
+            interpreter: folder.join(if cfg!(windows) { "Scripts/python.exe" } else { "bin/python" }),
+        };
         let stamp = folder.join("made-from");
         let (interpreter, version) = interpreter()?;
         let wanted = ingredients(&version)?;
-        if python.program.exists() && fs::read_to_string(&stamp).is_ok_and(|made| made == wanted) {
+        if python.interpreter.exists() && fs::read_to_string(&stamp).is_ok_and(|made| made == wanted) {
             return Ok(python);
         }
-        // Made anew: an environment half upgraded is worse than a minute lost.
+        // From scratch: a half upgraded environment is worse than a minute lost.
         if folder.exists() {
             fs::remove_dir_all(&folder)
                 .map_err(|error| format!("cannot remove {}: {error}", folder.display()))?;
@@ -55,21 +56,26 @@ impl Python {
         Ok(python)
     }
 
-    /// Adds what makes meshes (gmsh).
+    /// Installs the mesher (gmsh).
     pub fn with_meshing(&self) -> Outcome {
         run("gmsh from PyPI", self.pip().args(["--requirement", MESHING]))
     }
 
-    /// A script with this environment's Python.
+    /// A command that runs a script with this environment's Python.
     pub fn script(&self, path: &str) -> Command {
-        let mut command = command(&self.program);
+        let mut command = command(&self.interpreter);
         command.arg(path);
         command
     }
 
-    /// A module with this environment's Python.
+    /// Path of a program that a package installs.
+    pub fn program(&self, name: &str) -> PathBuf {
+        self.interpreter.with_file_name(format!("{name}{}", env::consts::EXE_SUFFIX))
+    }
+
+    /// A command that runs a module with this environment's Python.
     pub fn module(&self, name: &str) -> Command {
-        let mut command = command(&self.program);
+        let mut command = command(&self.interpreter);
         command.args(["-m", name]);
         command
     }
@@ -81,7 +87,7 @@ impl Python {
     }
 }
 
-/// The first Python that is new enough and can make environments, and its version. `PYTHON` names one to use.
+/// The first Python that is new enough and can make environments, and its version. The variable `PYTHON` overrides the search.
 fn interpreter() -> Outcome<(String, String)> {
     let named = env::var("PYTHON").ok();
     let usual = ["python3.11", "python3.12", "python3.13", "python3.14", "python3", "python"];
@@ -116,7 +122,7 @@ fn interpreter() -> Outcome<(String, String)> {
     ))
 }
 
-/// All that the environment is made from, as one text: it is made again when this changes.
+/// All ingredients of the environment as one text; a change of it makes the environment again.
 fn ingredients(version: &str) -> Outcome<String> {
     let mut files: Vec<PathBuf> = REQUIREMENTS.iter().map(|file| root().join(file)).collect();
     files.push(root().join("client/python/pyproject.toml"));

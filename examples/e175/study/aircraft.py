@@ -1,4 +1,4 @@
-"""What the study knows of the E175 besides its surface: weights, balance, drag, fuel, stability.
+"""The study's model of the E175 beyond its surface: weights, balance, drag, fuel, stability.
 
 :func:`analyse` is a plain function of numbers from the two services (wetted areas, planforms, tracked points; lift, drag and
 moment with their slopes) to what the optimizer sees. It takes complex numbers and arrays, so that :func:`derivatives` has
@@ -10,25 +10,27 @@ SI throughout: metres, newtons, seconds, radians. x aft, z up; moments positive 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-import raymer
 from numpy.typing import NDArray
+
+import raymer
 from raymer import FOOT, GRAVITY, KNOT, POUND_FORCE, Value
 
 NAUTICAL_MILE = 1852.0  #: m, exact
 
 
 class Choice(NamedTuple):
-    """A number of the model, and why it is that one."""
+    """A number of the model, and the reason for it."""
 
     value: float
     unit: str
     why: str
 
 
-#: What the paper gives.
+#: Numbers that the paper gives.
 GIVEN = {
     "mach": Choice(0.7, "1", "Sec. V.A"),
     "altitude": Choice(25_000 * FOOT, "m", "25,000 ft, Sec. V.A"),
@@ -37,15 +39,19 @@ GIVEN = {
     "baseline_payload": Choice(22_050 * POUND_FORCE, "N", "Table 2; 22,050 lbf are the weight of 10,000 kg"),
 }
 
-#: What the paper does not give.
+#: Numbers that the paper does not give.
 CHOICES = {
     # weights
     "load_factor": Choice(3.75, "1", "1.5 times the 2.5 that FAR 25.337 asks for"),
-    "wing_control_fraction": Choice(0.10, "1", "control surfaces of the wing over its area, as SUAVE and OpenConcept have it"),
+    "wing_control_fraction": Choice(
+        0.10, "1", "control surfaces of the wing over its area, as SUAVE and OpenConcept have it"
+    ),
     "wing_root_thickness": Choice(0.135, "1", "the geometry's section at y = 0"),
     "elevator_fraction": Choice(0.25, "1", "of the tail's area, usual"),
     "door_factor": Choice(1.0, "1", "no freight door on the main deck"),
-    "landing_fraction": Choice(32_800 / 37_500, "1", "landing over take-off weight, type certificate of the ERJ 170-200 STD"),
+    "landing_fraction": Choice(
+        32_800 / 37_500, "1", "landing over take-off weight, type certificate of the ERJ 170-200 STD"
+    ),
     "landing_load_factor": Choice(4.5, "1", "1.5 times a gear load factor of 3, Raymer's for transports"),
     "main_gear_length": Choice(2.2, "m", "estimated from views; enters to the power 0.4"),
     "nose_gear_length": Choice(1.6, "m", "estimated from views; enters to the power 0.5"),
@@ -66,10 +72,13 @@ CHOICES = {
     "engines_weighed": Choice(
         0.0,
         "1",
-        "share of the dry engines that is weighed. The paper leaves propulsion out in part (Sec. V.C) and has nacelles among its components: "
-        "its Table 3 and payload leave 27,030 lbf for the empty weight, which is what all regressions give without engines; 1 weighs them",
+        "share of the dry engines that is weighed. The paper leaves propulsion out in part (Sec. V.C) and has nacelles "
+        "among its components: its Table 3 and payload leave 27,030 lbf for the empty weight, which is what all regressions "
+        "give without engines; 1 weighs them",
     ),
-    "systems_weighed": Choice(1.0, "1", "share of furnishings, seats, air conditioning, APU, anti-ice, instruments: all of them"),
+    "systems_weighed": Choice(
+        1.0, "1", "share of furnishings, seats, air conditioning, APU, anti-ice, instruments: all of them"
+    ),
     "cockpit_crew": Choice(2.0, "1", "E175"),
     "passengers": Choice(76.0, "1", "E175, single class at 31 in"),
     "apu_weight": Choice(260 * POUND_FORCE, "N", "uninstalled, of this class"),
@@ -78,11 +87,13 @@ CHOICES = {
     "tail_arm_offset": Choice(
         2.3,
         "m",
-        "subtracted from the distance of the quarter chords in Eq. (20) alone: that distance, 14.0 m, gives C_VT = 1.39 for the "
-        "areas of Table 3's baseline, beyond the bound; its 1.16 takes 11.7 m",
+        "subtracted from the distance of the quarter chords in Eq. (20) alone: that distance, 14.0 m, gives C_VT = 1.39 "
+        "for the areas of Table 3's baseline, beyond the bound; its 1.16 takes 11.7 m",
     ),
     "surface_position": Choice(0.40, "1", "wing, fuel in it and tails, of their mean chord; Raymer, Table 15.2"),
-    "cabin_share": Choice(0.72, "1", "of the payload in the cabin, the rest in the hold: 76 passengers with hand luggage, 95 kg each"),
+    "cabin_share": Choice(
+        0.72, "1", "of the payload in the cabin, the rest in the hold: 76 passengers with hand luggage, 95 kg each"
+    ),
     "nacelle_ahead": Choice(2.9, "m", "front of the nacelle ahead of the leading edge at the kink"),
     "nacelle_end_ahead": Choice(3.1, "m", "its end ahead of the trailing edge there"),
     # drag
@@ -92,7 +103,9 @@ CHOICES = {
     "wing_interference": Choice(1.0, "1", "well-filleted low wing, Raymer, Sec. 12.5.5"),
     "tail_interference": Choice(1.05, "1", "conventional tail, 4 to 5 %, Raymer, Sec. 12.5.5"),
     "nacelle_interference": Choice(1.3, "1", "closer than a diameter to the wing, Raymer, Sec. 12.5.5"),
-    "upsweep": Choice(np.arctan2(1.90 - 0.95, 31.68 - 21.6), "rad", "rise of the tail cone's centre line in the geometry"),
+    "upsweep": Choice(
+        np.arctan2(1.90 - 0.95, 31.68 - 21.6), "rad", "rise of the tail cone's centre line in the geometry"
+    ),
     "leakage": Choice(0.035, "1", "leakage and protuberances; Raymer, Sec. 12.5.7: 2 to 5 % for jet transports"),
     # parts without a mesh
     "fuselage_length": Choice(31.68, "m", "no variable changes it"),
@@ -107,8 +120,8 @@ CHOICES = {
 
 MODEL: dict[str, Choice] = {**GIVEN, **CHOICES}
 
-#: What the panel code divides forces by: the baseline's area and mean chord, and the point that moments are about. These are
-#: fixed, so that its coefficients stand for forces; `analyse` gives coefficients by the current wing.
+#: Reference values of the panel method: the baseline's area and mean chord, and the moment centre. They are fixed, so that
+#: its coefficients stand for forces; `analyse` gives coefficients with respect to the current wing.
 REFERENCE_AREA = 68.2  #: m^2
 REFERENCE_CHORD = 3.42  #: m
 REFERENCE_POINT = (14.0, 0.0, 0.95)  #: m
@@ -121,14 +134,20 @@ _STATIONS = {"wing": ("root", "kink", "tip"), "htail": ("root", "tip")}
 GEOMETRY = (
     *("fuselage.volume", "fuselage.wetted_area", "wing.wetted_area", "htail.wetted_area"),
     *(f"{surface}.{name}" for surface in _STATIONS for name in ("planform_area", "span", "mean_aerodynamic_chord")),
-    *(f"{s}.{at}_{edge}.{axis}" for s, stations in _STATIONS.items() for at in stations for edge in _EDGES for axis in "xy"),
+    *(
+        f"{s}.{at}_{edge}.{axis}"
+        for s, stations in _STATIONS.items()
+        for at in stations
+        for edge in _EDGES
+        for axis in "xy"
+    ),
     *("fuselage.cabin.x", "fuselage.hold.x", "fuselage.nose_gear.x", "fuselage.main_gear.x"),
     *("fuselage.barrel_side.y", "fuselage.barrel_top.z", "fuselage.barrel_bottom.z", "fuselage.tail_side.y"),
 )
 
-#: What the panel service gives: coefficients by the reference above and the neutral point. Lift that balances the weight is
-#: that of the circulation, which goes with the induced drag of the Trefftz plane; the moment is that of the pressure, and so
-#: is the normal force that carries it to the centre of gravity.
+#: Results of the panel service: coefficients for the reference above and the neutral point. The lift that balances the
+#: weight is that of the circulation, consistent with the induced drag of the Trefftz plane; the moment is that of the
+#: pressure, and so is the normal force that carries it to the centre of gravity.
 _COEFFICIENTS = ("lift", "induced_drag", "pressure_lift", "pressure_drag", "moment", "neutral_point")
 AERODYNAMICS = tuple(f"flow.{name}" for name in _COEFFICIENTS)
 
@@ -172,12 +191,15 @@ class _Surface(NamedTuple):
 
 
 def _surface(g: Mapping[str, Value], name: str, fractions: Iterable[float]) -> _Surface:
-    """From the tracked points; `fractions`: of chord, of lines whose sweep is wanted."""
+    """Planform from the tracked points; `fractions`: of the chord, for lines whose sweep is computed."""
     at = [[g[f"{name}.{station}_{edge}.x"] for edge in _EDGES] for station in _STATIONS[name]]
-    y = [(g[f"{name}.{station}_leading_edge.y"] + g[f"{name}.{station}_trailing_edge.y"]) / 2 for station in _STATIONS[name]]
+    y = [
+        (g[f"{name}.{station}_leading_edge.y"] + g[f"{name}.{station}_trailing_edge.y"]) / 2
+        for station in _STATIONS[name]
+    ]
     # x of the quarter chord, weighted with the chord and integrated exactly over straight parts.
     moment, area = 0.0, 0.0
-    for (a, b), y0, y1 in zip(zip(at, at[1:]), y, y[1:]):
+    for (a, b), y0, y1 in zip(pairwise(at), y, y[1:]):
         c, d = a[1] - a[0], b[1] - b[0]
         p, q = a[0] + c / 4, b[0] + d / 4
         moment = moment + (y1 - y0) * (p * (2 * c + d) + q * (c + 2 * d)) / 6
@@ -203,8 +225,8 @@ def analyse(state: Mapping[str, Value], model: Mapping[str, Value] | None = None
 
     `model`: values of :data:`MODEL` to replace.
 
-    The gross weight is that at which the weights of the components, which depend on it, add up to it. Lift is not made
-    equal to it: that is a constraint of the optimizer's.
+    The gross weight is the fixed point at which the weights of the components, which depend on it, add up to it. Lift equal
+    to weight is a constraint of the optimizer.
     """
     m: dict[str, Value] = {name: choice.value for name, choice in MODEL.items()} | dict(model or {})
     air = standard_air(m["altitude"])
@@ -233,9 +255,7 @@ def analyse(state: Mapping[str, Value], model: Mapping[str, Value] | None = None
         return raymer.friction_coefficient(air.density * speed * length / air.viscosity, m["mach"])
 
     def surface_factor(thickness: Value, sweep: Value) -> Value:
-        return raymer.surface_form_factor(
-            thickness=thickness, thickest=m["thickest"], mach=m["mach"], sweep=sweep
-        )
+        return raymer.surface_form_factor(thickness=thickness, thickest=m["thickest"], mach=m["mach"], sweep=sweep)
 
     drag_areas = {
         "fuselage": friction(m["fuselage_length"])
@@ -347,9 +367,7 @@ def analyse(state: Mapping[str, Value], model: Mapping[str, Value] | None = None
             + raymer.hydraulics_weight(
                 functions=m["control_functions"], length=m["fuselage_length"], wing_span=wing.span
             )
-            + raymer.electrical_weight(
-                rating=m["electrical_rating"], run=m["fuselage_length"], generators=m["engines"]
-            )
+            + raymer.electrical_weight(rating=m["electrical_rating"], run=m["fuselage_length"], generators=m["engines"])
             + raymer.avionics_weight(uninstalled=m["avionics_weight"]),
             "cabin systems": m["systems_weighed"]
             * (
@@ -385,7 +403,7 @@ def analyse(state: Mapping[str, Value], model: Mapping[str, Value] | None = None
 
     # --- balance
     part = m["surface_position"] - 0.25
-    # The middle of the cabin, half of the length: Raymer's Table 15.2 has 0.40 to 0.50 for fuselages and what is in them.
+    # The middle of the cabin, half of the length: Raymer's Table 15.2 has 0.40 to 0.50 for fuselages with contents.
     body = state["fuselage.cabin.x"]
     on_wing = wing.quarter_chord + part * wing.chord
     kink = [state[f"wing.kink_{edge}.x"] for edge in _EDGES]
@@ -448,7 +466,7 @@ BASELINE_VOLUME = 201.35057256999775
 def derivatives(
     state: Mapping[str, float], of: Iterable[str], by: Iterable[str] = INPUTS, model: Mapping[str, float] | None = None
 ) -> dict[str, NDArray[np.float64]]:
-    """Derivatives of results by inputs or by numbers of :data:`MODEL`: for each of `of` an array in the order of `by`.
+    """Derivatives of the results `of` with respect to the inputs or numbers of :data:`MODEL` in `by`, an array each.
 
     By complex steps, which have no truncation and no cancellation; every input is perturbed in an entry of its own.
     """

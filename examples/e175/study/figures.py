@@ -17,9 +17,9 @@ import numpy as np
 from matplotlib.collections import LineCollection, PolyCollection
 from numpy.typing import NDArray
 
-sys.path.append(str(Path(__file__).parents[2] / "demo"))
+sys.path.append(str(Path(__file__).resolve().parents[3] / "xtask/scripts/demo"))
 
-from render import NO_VERTEX, View, beside, render, text  # noqa: E402  # the demo's renderer
+from render import NO_VERTEX, View, beside, render, text  # the demo's renderer
 
 Array = NDArray[np.float64]
 
@@ -76,7 +76,9 @@ def convergence(path: Path, runs: Mapping[str, Sequence[Mapping[str, Any]]]) -> 
 def planforms(path: Path, shapes: Mapping[str, Shape]) -> None:
     """Fig. 9: the optimized designs over the baseline, from above."""
     optimised = [name for name in shapes if name != "baseline"]
-    figure, axes = plt.subplots(1, len(optimised), figsize=(6 * len(optimised), 5.4), sharey=True, squeeze=False, layout="constrained")
+    figure, axes = plt.subplots(
+        1, len(optimised), figsize=(6 * len(optimised), 5.4), sharey=True, squeeze=False, layout="constrained"
+    )
     for axis, name in zip(axes[0], optimised, strict=True):
         for each, alpha in (("baseline", 1.0), (name, 0.55)):
             shape = shapes[each]
@@ -129,7 +131,9 @@ def pressures(path: Path, shapes: Mapping[str, Shape]) -> None:
             share = np.clip((shape.pressure - PRESSURE[0]) / (PRESSURE[1] - PRESSURE[0]), 0, 1)
             colours = scale(share)[:, :3]
             owner = np.unique(shape.owner, return_inverse=True)[1].astype(np.uint32)
-            image = render(shape.vertices, shape.cells, owner, colours, view, (620, 640 if row < 2 else 420), line=0, seam_line=0)
+            image = render(
+                shape.vertices, shape.cells, owner, colours, view, (620, 640 if row < 2 else 420), line=0, seam_line=0
+            )
             text(image, (14, 12), f"{TITLES[name]}, {where}", 20)
             images.append(image)
     count = len(shapes)

@@ -15,12 +15,13 @@ from typing import Any
 
 import moldline
 import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
 from aircraft import AERODYNAMICS, GEOMETRY, INPUTS, analyse, derivatives
 from formulation import FUEL, OBJECTIVE, OBJECTIVE_WEIGHT, PROBLEMS, Limit
-from numpy.typing import NDArray
 from problem import Aerodynamics
 from raymer import POUND_FORCE
-from scipy.optimize import minimize
 from services import services
 
 HERE = Path(__file__).resolve().parent
@@ -40,7 +41,7 @@ class Point:
         self.results = analyse(self.state)
 
     def gradients(self, of: Sequence[str]) -> Array:
-        """By the design variables, a row for each result."""
+        """Derivatives with respect to the design variables, a row for each result."""
         rows = derivatives(self.state, of)
         by = {name: np.array([rows[result][k] for result in of]) for k, name in enumerate(INPUTS)}
         # Adjoint of the panel service for its six outputs, then of the mesh service for all results at once.
@@ -132,7 +133,9 @@ def main() -> None:
             lambda z: problem.values(z)[0],
             start,
             jac=lambda z: problem.gradients(z)[0],
-            bounds=list(zip((problem.lower - problem.zero) / problem.reach, (problem.upper - problem.zero) / problem.reach)),
+            bounds=list(
+                zip((problem.lower - problem.zero) / problem.reach, (problem.upper - problem.zero) / problem.reach)
+            ),
             constraints=problem.constraints(),
             method="SLSQP",
             callback=tell,

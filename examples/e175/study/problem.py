@@ -1,28 +1,30 @@
 """The fuel-burn study as an OpenMDAO problem: mesh service, panel service, aircraft, and a driver that can be resumed.
 
-    session -> vertices, areas, points -+-------------------------> aircraft -> fuel, lift, moment, ...
-                    |                                                  |
-                    +-> panel service -> lift, drag, moment, slopes ---+
+session -> vertices, areas, points -+-------------------------> aircraft -> fuel, lift, moment, ...
+                |                                                  |
+                +-> panel service -> lift, drag, moment, slopes ---+
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
 from typing import Any, Protocol
 
-import aircraft
 import numpy as np
 import openmdao.api as om
-import slsqp
-from formulation import FUEL, OBJECTIVE, OBJECTIVE_WEIGHT, Limit
 from moldline import Session
 from moldline.openmdao import DeformedMesh, om_name
 from numpy.typing import NDArray
 
+import aircraft
+import slsqp
+from formulation import FUEL, OBJECTIVE, OBJECTIVE_WEIGHT, Limit
+
 Array = NDArray[np.float64]
 
-#: What the study follows of the aircraft besides objective and constraints.
+#: Results that the study records besides objective and constraints.
 RESULTS = (
     *("fuel_weight", "gross_weight", "payload_weight", "empty_weight", "lift", "lift_excess", "pitching_moment"),
     *("wing_loading", "tail_volume", "static_margin", "lift_to_drag", "fuel_fraction", "centre_of_gravity"),
@@ -32,16 +34,16 @@ RESULTS = (
 
 
 class Aerodynamics(Protocol):
-    """A flow solver: what :data:`aircraft.AERODYNAMICS` names, on the mesh's vertices, and its gradients."""
+    """A flow solver: the coefficients of :data:`aircraft.AERODYNAMICS` on the mesh's vertices, and their gradients."""
 
     def coefficients(self, vertices: Array, alpha: float) -> Array:
         """(6,), at an angle of attack in radians."""
 
     def gradients(self, vertices: Array, alpha: float) -> tuple[Array, Array]:
-        """By the vertices, (6, n, 3), per metre, and by the angle of attack, (6,), per radian."""
+        """With respect to the vertices, (6, n, 3), 1/m, and to the angle of attack, (6,), 1/rad."""
 
     def pressures(self, vertices: Array, alpha: float) -> Array:
-        """Pressure coefficient of every cell, to be drawn."""
+        """Pressure coefficient of every cell, for figures."""
 
 
 class Clock:
@@ -92,7 +94,7 @@ class Mesh(DeformedMesh):
 
 
 class Flow(om.ExplicitComponent):  # type: ignore[misc]  # OpenMDAO has no types.
-    """The panel service: one solution a design, one adjoint pass for all its outputs."""
+    """The panel service: one solution for each design, one adjoint pass for all its outputs."""
 
     def initialize(self) -> None:
         self.options.declare("aerodynamics", recordable=False)
@@ -168,8 +170,8 @@ class Study:
     """The OpenMDAO problem on a session and a flow solver. `problem` has its variables and constraints declared, so that any
     OpenMDAO driver can run it; :meth:`run` minimises with :mod:`slsqp`, which records and resumes.
 
-    `limits`: constraints, such as `formulation.PROBLEMS["with"]`. `angle_of_attack`: whether it is a variable too, as it is
-    not in the paper. `model`: numbers of `aircraft.MODEL` to replace.
+    `limits`: constraints, such as `formulation.PROBLEMS["with"]`. `angle_of_attack`: whether it is a variable too, unlike in
+    the paper. `model`: numbers of `aircraft.MODEL` to replace.
     """
 
     def __init__(
@@ -214,7 +216,7 @@ class Study:
         self.problem.setup(mode="rev")
 
     def notes(self) -> dict[str, Any]:
-        """Seconds in the services since the last call, and what is known of the present design."""
+        """Seconds in the services since the last call, and notes about the present design."""
         design = np.empty(sum(at.stop - at.start for at in self._entries.values()))
         for name, at in self._entries.items():
             design[at] = self.problem.get_val(name).ravel()
@@ -232,7 +234,7 @@ class Study:
         return {name: self.problem.get_val(name).tolist() for name in self._variables}
 
     def set_variables(self, values: Mapping[str, Any]) -> None:
-        """What :meth:`get_variables` gave."""
+        """Sets the variables to a result of :meth:`get_variables`."""
         for name, value in values.items():
             self.problem.set_val(name, np.array(value))
 
@@ -255,12 +257,12 @@ class Study:
         raise RuntimeError(f"the aircraft cannot be trimmed after {steps} steps; residuals {residuals}")
 
     def trim_multipliers(self, iterate: slsqp.Iterate) -> Array:
-        """By how much the objective of an aircraft that is kept in trim as :meth:`trim` does it changes for a unit of each
-        constraint, all scaled; zero for those that are not about trim."""
+        """Change of the objective for a unit of each constraint, all scaled, with the aircraft kept in trim (:meth:`trim`);
+        zero for constraints that do not concern trim."""
         names = [limit.result for limit in self.limits]
         rows = [names.index(name) for name in TRIM]
         starts = np.cumsum([0, *(len(zero) for _, _, zero, _ in self._variables.values())])
-        entries = dict(zip(self._variables, zip(starts, starts[1:]), strict=False))
+        entries = dict(zip(self._variables, pairwise(starts), strict=False))
         columns = [slice(*entries[name]) for name in (self._trimmed_by, "htail:rotation")]
         matrix = np.array([[iterate.jacobian[row, at].sum() for at in columns] for row in rows])
         multipliers = np.zeros(len(names))
@@ -300,11 +302,11 @@ class Study:
         scaled = totals * reach / scales[:, np.newaxis]
         return scaled[0], scaled[1:], {"service_seconds": self.clock.read()}
 
-    #: The point that the model is at.
+    #: The point at which the model was evaluated last.
     _at = b""
 
 
-#: What is zero in trim.
+#: Residuals of trim.
 TRIM = ("lift_excess", "pitching_moment")
 #: Bound of the angle of attack where it is a variable, and the change that is scaled to 1, rad.
 ANGLE_OF_ATTACK = (np.radians(8.0), np.radians(5.0))

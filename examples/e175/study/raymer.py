@@ -2,10 +2,10 @@
 
 D. P. Raymer, *Aircraft Design: A Conceptual Approach* (AIAA): weights of cargo and transport aircraft, Eqs. 15.25 to 15.44;
 parasite drag by components, Sec. 12.5. Equation numbers beside the functions are those of the book's second to sixth
-edition. They are power laws of pounds, feet, inches and knots; here these units stay inside the functions. What goes in and
-comes out is SI: metres, newtons, metres per second, radians.
+edition. They are power laws of pounds, feet, inches and knots; here these units stay inside the functions. Arguments and
+results are SI: metres, newtons, metres per second, radians.
 
-All functions take real or complex numbers or arrays of them, so that their derivatives are had by complex steps.
+All functions take real or complex numbers or arrays of them, so that complex steps give their derivatives.
 """
 
 from __future__ import annotations
@@ -156,8 +156,8 @@ def fuel_system_weight(*, volume: Value, tanks: Value) -> Value:
 
 
 def flight_controls_weight(*, gross_weight: Value, functions: Value, control_area: Value, arm: Value) -> Value:
-    """Powered flight controls, N (15.35). `functions`: how many the controls have, 4 to 7; `control_area`: of all of them. The
-    moment of inertia in pitch is that of the radius of gyration in :func:`horizontal_tail_weight`."""
+    """Powered flight controls, N (15.35). `functions`: their number, 4 to 7; `control_area`: the sum over all
+    controls. The moment of inertia in pitch follows from the radius of gyration in :func:`horizontal_tail_weight`."""
     inertia = gross_weight / POUND_FORCE * (0.3 * arm / FOOT) ** 2
     return 145.9 * functions**0.554 * (control_area / FOOT**2) ** 0.2 * (inertia * 1e-6) ** 0.07 * POUND_FORCE
 
@@ -178,7 +178,7 @@ def hydraulics_weight(*, functions: Value, length: Value, wing_span: Value) -> V
 
 
 def electrical_weight(*, rating: Value, run: Value, generators: Value) -> Value:
-    """Electrical system, N (15.39). `rating` in kVA, 40 to 60 for transports; `run`: from generators to avionics to cockpit."""
+    """Electrical system, N (15.39). `rating`: kVA, 40 to 60 for transports; `run`: generators to avionics to cockpit, m."""
     return 7.291 * rating**0.782 * (run / FOOT) ** 0.346 * generators**0.1 * POUND_FORCE
 
 
@@ -212,23 +212,24 @@ def handling_gear_weight(*, gross_weight: Value) -> Value:
 
 
 def friction_coefficient(reynolds: Value, mach: Value) -> Value:
-    """Of a flat plate with turbulent boundary layer (12.27)."""
+    """Friction coefficient of a flat plate with turbulent boundary layer (12.27)."""
     return 0.455 / (np.log10(reynolds) ** 2.58 * (1 + 0.144 * mach**2) ** 0.65)
 
 
 def surface_form_factor(*, thickness: Value, thickest: Value, mach: Value, sweep: Value) -> Value:
-    """Of wings and tails (12.30). `thickness`: of chord, greatest at the fraction `thickest` of it, where `sweep` is taken."""
+    """Form factor of wings and tails (12.30). `thickness`: relative to the chord; `thickest`: the fraction of the chord at
+    which it is greatest and `sweep` is measured."""
     section = 1 + 0.6 / thickest * thickness + 100 * thickness**4
     return section * 1.34 * mach**0.18 * np.cos(sweep) ** 0.28
 
 
 def body_form_factor(fineness: Value) -> Value:
-    """Of fuselages (12.31), by length over diameter."""
+    """Form factor of fuselages (12.31); the argument is length over diameter."""
     return 1 + 60 / fineness**3 + fineness / 400
 
 
 def nacelle_form_factor(fineness: Value) -> Value:
-    """Of nacelles and smooth stores (12.32)."""
+    """Form factor of nacelles and smooth stores (12.32)."""
     return 1 + 0.35 / fineness
 
 

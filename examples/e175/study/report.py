@@ -12,17 +12,29 @@ import aircraft
 import figures
 from figures import TITLES, Shape
 from formulation import POUNDS_PER_SQUARE_FOOT
-from raymer import FOOT, POUND_FORCE
+from raymer import FOOT
 
 __all__ = ["FOOT", "POUNDS_PER_SQUARE_FOOT", "Shape", "text", "write"]
 
-#: Table 3 of the paper: gross and fuel weight, N; A_W; S_W, ft^2; A_T; S_T, ft^2; travel, ft; loading, lbf/ft^2; C_VT; margin, %.
+#: Table 3 of the paper: gross and fuel weight, N; A_W; S_W, ft^2; A_T; S_T, ft^2; travel, ft; loading, lbf/ft^2; C_VT;
+#: static margin, %.
 TABLE_3 = {
     "baseline": (288_800, 70_400, 8.3, 740, 4.3, 250, 0.0, 90, 1.16, -0.3),
     "without": (293_000, 57_600, 10.5, 658, 3.7, 188, -1.0, 100, 1.18, -23.0),
     "with": (294_500, 58_850, 10.5, 661, 4.0, 188, 3.7, 100, 1.20, 5.0),
 }
-COLUMNS = ("W_0, N", "W_f, N", "A_W", "S_W, ft^2", "A_T", "S_T, ft^2", "travel, ft", "W_0/S_W, lbf/ft^2", "C_VT", "margin, %")
+COLUMNS = (
+    "W_0, N",
+    "W_f, N",
+    "A_W",
+    "S_W, ft^2",
+    "A_T",
+    "S_T, ft^2",
+    "travel, ft",
+    "W_0/S_W, lbf/ft^2",
+    "C_VT",
+    "margin, %",
+)
 #: From Table 3, beside what it leaves out.
 DERIVED = {"baseline": (0.2438, 11.55, 0.326), "without": (0.1966, 14.75, 0.372), "with": (0.1998, 14.48, 0.372)}
 
@@ -58,26 +70,36 @@ def table_3(result: Mapping[str, Any]) -> list[tuple[str, ...]]:
         ours = (*_row(iterate), r["fuel_fraction"], r["lift_to_drag"], r["lift_coefficient"])
         for title, values in ((TITLES[name], ours), ("  paper", (*TABLE_3[name], *DERIVED[name]))):
             weights = [f"{value:,.0f}" for value in values[:2]]
-            rest = [f"{value:.{digits}f}" for value, digits in zip(values[2:], (2, 0, 2, 0, 1, 1, 2, 1, 4, 2, 3), strict=True)]
+            rest = [
+                f"{value:.{digits}f}"
+                for value, digits in zip(values[2:], (2, 0, 2, 0, 1, 1, 2, 1, 4, 2, 3), strict=True)
+            ]
             rows.append((title, *weights, *rest))
     return rows
 
 
 def text(result: Mapping[str, Any]) -> str:
-    """For a terminal."""
+    """The results as text for a terminal."""
     rows = table_3(result)
     widths = [max(len(row[k]) for row in rows) + 2 for k in range(len(rows[0]))]
-    lines = ["".join(cell.ljust(w) if k == 0 else cell.rjust(w) for k, (cell, w) in enumerate(zip(row, widths))) for row in rows]
+    lines = [
+        "".join(cell.ljust(w) if k == 0 else cell.rjust(w) for k, (cell, w) in enumerate(zip(row, widths)))
+        for row in rows
+    ]
     missed = [goal for goal in result["goals"] if not goal["reached"]]
     lines.append(f"\n{len(result['goals']) - len(missed)} of {len(result['goals'])} goals reached")
-    lines += [f"  missed: {g['name']} = {g['value']:.4g} {g['unit']}, goal {g['least']:g} to {g['most']:g}" for g in missed]
+    lines += [
+        f"  missed: {g['name']} = {g['value']:.4g} {g['unit']}, goal {g['least']:g} to {g['most']:g}" for g in missed
+    ]
     return "\n".join(lines)
 
 
 def write(out: Path, result: Mapping[str, Any], shapes: Mapping[str, Shape]) -> None:
     """`report.html`, and its pictures as files too."""
     pictures = [("Fig. 8: convergence", "convergence.png")]
-    figures.convergence(out / "convergence.png", {name: problem["iterates"] for name, problem in result["problems"].items()})
+    figures.convergence(
+        out / "convergence.png", {name: problem["iterates"] for name, problem in result["problems"].items()}
+    )
     if shapes:
         for title, draw in (
             ("Fig. 9: planforms", figures.planforms),
@@ -100,7 +122,13 @@ def write(out: Path, result: Mapping[str, Any], shapes: Mapping[str, Shape]) -> 
         _html_table(
             [("", "value", "goal", "unit", "")]
             + [
-                (g["name"], f"{g['value']:.4g}", f"{g['least']:g} to {g['most']:g}", g["unit"], "yes" if g["reached"] else "no")
+                (
+                    g["name"],
+                    f"{g['value']:.4g}",
+                    f"{g['least']:g} to {g['most']:g}",
+                    g["unit"],
+                    "yes" if g["reached"] else "no",
+                )
                 for g in result["goals"]
             ],
             classes={row: "no" for row, g in enumerate(result["goals"], 1) if not g["reached"]},
@@ -116,27 +144,40 @@ def write(out: Path, result: Mapping[str, Any], shapes: Mapping[str, Shape]) -> 
 
 
 def _choices(result: Mapping[str, Any]) -> str:
-    """What the paper does not give, with the dependence of the fuel on it."""
-    by = {
-        name: {row["name"]: row for row in problem["sensitivities"]} for name, problem in result["problems"].items()
-    }
+    """Numbers that the paper does not give, with the sensitivity of the fuel to them."""
+    by = {name: {row["name"]: row for row in problem["sensitivities"]} for name, problem in result["problems"].items()}
     last = next(reversed(by.values()))
     order = sorted(aircraft.CHOICES, key=lambda name: -abs(last[name]["optimum"]))
     rows = [("number", "value", "unit", "reason", "baseline", *(TITLES[name] for name in by))]
     for name in order:
         choice = aircraft.CHOICES[name]
         changes = [next(iter(by.values()))[name]["baseline"], *(of[name]["optimum"] for of in by.values())]
-        rows.append((name.replace("_", " "), f"{choice.value:.4g}", choice.unit, choice.why, *(f"{c:+.3f}" for c in changes)))
+        rows.append(
+            (name.replace("_", " "), f"{choice.value:.4g}", choice.unit, choice.why, *(f"{c:+.3f}" for c in changes))
+        )
     note = (
-        "<p>The last columns: relative change of the fuel for a relative change of the number (for a change by one where it is zero), "
-        "of the baseline kept in trim and of the optima.</p>"
+        "<p>The last columns: relative change of the fuel for a relative change of the number (for a change by one where "
+        "it is zero), of the baseline kept in trim and of the optima.</p>"
     )
     return note + _html_table(rows, text_columns={3})
 
 
 def _variants(rows: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:
     """Baselines and optima with other numbers of the model."""
-    heads = ("", "problem", "W_0, N", "W_f baseline, N", "W_f, N", "saved, %", "L/D", "S_W, ft^2", "A_W", "travel, ft", "margin, %", "converged")
+    heads = (
+        "",
+        "problem",
+        "W_0, N",
+        "W_f baseline, N",
+        "W_f, N",
+        "saved, %",
+        "L/D",
+        "S_W, ft^2",
+        "A_W",
+        "travel, ft",
+        "margin, %",
+        "converged",
+    )
     table = [heads]
     for row in rows:
         start, end = row["baseline"], row["optimum"]

@@ -1,4 +1,4 @@
-"""The two services that the study asks, started for it."""
+"""The two services of the study, started for it."""
 
 from __future__ import annotations
 
@@ -8,21 +8,22 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
-import aircraft
 import moldline
 import moldline.panel
 import numpy as np
 from numpy.typing import NDArray
 
+import aircraft
+
 HERE = Path(__file__).resolve().parent
 E175 = HERE.parent
-sys.path.append(str(HERE.parents[1] / "demo"))
+sys.path.append(str(HERE.parents[2] / "xtask/scripts/demo"))
 
 from demo import Server  # noqa: E402  # the demo's
 
 Array = NDArray[np.float64]
 
-#: What the panel service is told to divide by; the span is that of moments that the study has no use for.
+#: Reference values for the panel service; the span is that of moments which the study does not use.
 REFERENCE = moldline.panel.Reference(
     area=aircraft.REFERENCE_AREA, chord=aircraft.REFERENCE_CHORD, span=23.82, point=aircraft.REFERENCE_POINT
 )

@@ -1,9 +1,9 @@
-"""SciPy's SLSQP with what a run of an hour needs: a record of every evaluation, progress, and a measure of optimality.
+"""SciPy's SLSQP with additions for long runs: a record of every evaluation, progress, and a measure of optimality.
 
 SLSQP keeps its state in work arrays that cannot be saved. It is, however, deterministic: given the same values and
-derivatives at the same points it goes the same way, bit by bit. So each evaluation is written to a file as soon as it is
-known, and a run that was killed is resumed from its beginning with what the file has, which costs nothing; only from where
-the file ends are the services asked again.
+derivatives at the same points it takes the same path, bit by bit. So each evaluation is written to a file as soon as it is
+known, and a run that was killed is resumed from its beginning from the file, which costs nothing; the services are
+called again only from where the file ends.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from scipy.optimize import lsq_linear, minimize
 
 Array = NDArray[np.float64]
 
-#: How near a bound or limit may have a multiplier, in scaled units.
+#: Distance within which a bound or limit may have a multiplier, in scaled units.
 NEAR = 1e-3
 
 
@@ -39,7 +39,7 @@ class Constraint:
 
 
 class Functions(Protocol):
-    """What is minimised, and under what, in scaled variables."""
+    """Objective and constraints in scaled variables."""
 
     def values(self, x: Array) -> tuple[float, Array, dict[str, Any]]:
         """Objective, constraints, and notes to keep with them (numbers, text)."""
@@ -70,7 +70,7 @@ class Iterate:
     #: Points that were evaluated so far, those of the record included.
     evaluations: int
     notes: dict[str, Any]
-    #: Whether all that led here came from the record.
+    #: Whether all evaluations so far came from the record.
     replayed: bool
 
 
@@ -98,7 +98,7 @@ class Record:
             return
         path.parent.mkdir(parents=True, exist_ok=True)
         kept = self._read(path, description) if resume and path.exists() else 0
-        # What a kill left of a last line is cut off.
+        # A last line that a kill truncated is dropped.
         self._file = path.open("r+b" if kept else "wb")
         self._file.truncate(kept)
         self._file.seek(kept)
@@ -157,8 +157,8 @@ def stationarity(
     """How far the conditions of Karush, Kuhn and Tucker are from being met at best, and the constraints' multipliers.
 
     The multipliers are the least-squares ones among those of the right sign; only limits and bounds that are nearly reached
-    have one. Returned is the largest entry of the Lagrangian's gradient, or of the products of multipliers and what is left to
-    the limits, whichever is more.
+    have one. Returns the largest entry of the Lagrangian's gradient or of the products of multipliers and
+    slacks, whichever is more.
     """
     columns, low, high, slack = [], [], [], []
     rows = [*jacobian, *np.eye(len(x))]
@@ -200,7 +200,7 @@ def minimise(
     """Minimises in scaled variables, until no constraint is violated by more than `feasible` and :func:`stationarity` is at
     most `optimal`.
 
-    `weight`: what SLSQP sees the objective multiplied by. It begins with the unit matrix for the Lagrangian's second
+    `weight`: factor of the objective inside SLSQP. It begins with the unit matrix for the Lagrangian's second
     derivatives, so that the weight decides how far its first steps go; no result depends on it.
     `record`: file that evaluations are written to. `resume`: whether it is read first. `description`: of the problem; a
     record with another one is refused. `tell`: called with every iterate.
@@ -310,7 +310,7 @@ def minimise(
             bounds=list(zip(lower, upper, strict=True)),
             constraints=[{k: v for k, v in kind.items() if k != "size"} for kind in kinds if kind["size"]],
             callback=accept,
-            # Its own criterion would stop it early; ours is checked after every iteration.
+            # SLSQP's own criterion would stop it early; ours is checked after every iteration.
             options={"maxiter": iterations, "ftol": 1e-14},
         )
     finally:

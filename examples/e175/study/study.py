@@ -1,8 +1,8 @@
 """The fuel-burn study: both problems of the paper's Sec. V on a mesh service and a panel service.
 
-    python study.py --binary ../../../target/release/moldline --out out     all of it
-    python study.py ... --resume                                            goes on where a killed run was
-    python study.py ... --coarse --iterations 3 --no-pictures               a look at it
+    python study.py --binary ../../../target/release/moldline --out out     both problems
+    python study.py ... --resume                                            continues a killed run
+    python study.py ... --coarse --iterations 3 --no-pictures               a quick look
 
 Writes report.json, report.html with its pictures, and for each problem the record of its evaluations.
 """
@@ -18,13 +18,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import aircraft
 import moldline
 import numpy as np
+from numpy.typing import NDArray
+
+import aircraft
 import report
 import slsqp
 from formulation import FUEL, OBJECTIVE, PROBLEMS
-from numpy.typing import NDArray
 from problem import Aerodynamics, Study
 from raymer import POUND_FORCE
 from services import services
@@ -34,7 +35,7 @@ HERE = Path(__file__).resolve().parent
 Array = NDArray[np.float64]
 
 
-#: What is optimised anew with another choice, on the coarse mesh: the choices that matter most.
+#: The choices that matter most, varied on the coarse mesh.
 VARIANTS: dict[str, dict[str, float]] = {
     "as it is": {},
     "engines weighed": {"engines_weighed": 1.0},
@@ -106,7 +107,7 @@ def solve(
 
 
 def check_derivatives(study: Study, x: Array, step: float = 1e-3) -> dict[str, float]:
-    """Largest error of the derivatives of each response by all variables, over the largest derivative of the response.
+    """Largest error of each response's derivatives with respect to all variables, over its largest derivative.
 
     Against central differences of fourth order through both services; `step` of half a variable's range.
     """
@@ -127,10 +128,10 @@ def check_derivatives(study: Study, x: Array, step: float = 1e-3) -> dict[str, f
 
 
 def sensitivities(study: Study, iterates: list[slsqp.Iterate]) -> list[dict[str, Any]]:
-    """How fuel depends on what the model chooses: relative change for a relative change of each number.
+    """Sensitivity of the fuel to the model's choices: relative change for a relative change of each number.
 
-    Of the trimmed baseline, and of the optimum, where lift, moment and the constraints that are active are kept: the derivative of the
-    optimum is that of the Lagrangian. Numbers that are zero are changed by one.
+    Of the trimmed baseline, and of the optimum, where lift, moment and the active constraints are kept: the derivative of
+    the optimum is that of the Lagrangian. Numbers that are zero are changed by one.
     """
     responses = [OBJECTIVE, *(limit.result for limit in study.limits)]
     rows = []
@@ -165,9 +166,7 @@ def summary(iterate: slsqp.Iterate, names: list[str], variables: list[str]) -> d
         "constraints": dict(zip(names, iterate.constraints.tolist(), strict=True)),
         "multipliers": dict(zip(names, iterate.multipliers.tolist(), strict=True)),
         "seconds": notes["seconds"] + iterate.notes["derivatives"]["seconds"],
-        "service_seconds": {
-            of: iterate.notes[of].get("service_seconds", {}) for of in ("values", "derivatives")
-        },
+        "service_seconds": {of: iterate.notes[of].get("service_seconds", {}) for of in ("values", "derivatives")},
         "quality": notes["quality"],
         "results": notes["results"],
         "design": dict(zip(variables, notes["design"], strict=True)),
@@ -176,7 +175,7 @@ def summary(iterate: slsqp.Iterate, names: list[str], variables: list[str]) -> d
 
 
 def shape(session: moldline.Session, flow: Aerodynamics, iterate: slsqp.Iterate) -> report.Shape:
-    """What there is to draw of an iterate."""
+    """An iterate for the figures."""
     notes = iterate.notes["values"]
     vertices = session.deform(np.array(notes["design"])).vertices
     mesh = session.setup.mesh
@@ -210,7 +209,7 @@ def variants(binary: Path, out: Path, *, iterations: int, resume: bool) -> list[
 
 
 def goals(problems: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """What the study is to reach, and whether it does."""
+    """The study's goals, and whether they are reached."""
     rows: list[dict[str, Any]] = []
 
     def goal(name: str, value: float, least: float, most: float, unit: str = "1") -> None:
@@ -239,7 +238,12 @@ def goals(problems: Mapping[str, Any]) -> list[dict[str, Any]]:
         goal(f"{name}: wing loading", end["wing_loading"] / report.POUNDS_PER_SQUARE_FOOT, 99.5, 100.01, "lbf/ft^2")
         folded = max(i["quality"]["folded"] + i["quality"]["inverted"] for i in problem["iterates"])
         goal(f"{name}: folded or inverted cells of any iterate", folded, 0, 0)
-        goal(f"{name}: largest p95 of the aspect ratio", max(i["quality"]["aspect_ratio_p95"] for i in problem["iterates"]), 1.0, 2.2)
+        goal(
+            f"{name}: largest p95 of the aspect ratio",
+            max(i["quality"]["aspect_ratio_p95"] for i in problem["iterates"]),
+            1.0,
+            2.2,
+        )
         if name == "without":
             goal("baseline: fuel fraction", start["fuel_fraction"], 0.244 * 0.95, 0.244 * 1.05)
             goal("baseline: lift to drag", start["lift_to_drag"], 11.55 * 0.95, 11.55 * 1.05)
@@ -254,13 +258,17 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--binary", type=Path, required=True, help="the moldline program; it is started")
     parser.add_argument("--out", type=Path, default=HERE / "out", help="folder to write to")
-    parser.add_argument("--problems", nargs="+", choices=list(PROBLEMS), default=list(PROBLEMS), help="static margin or not")
+    parser.add_argument(
+        "--problems", nargs="+", choices=list(PROBLEMS), default=list(PROBLEMS), help="static margin or not"
+    )
     parser.add_argument("--iterations", type=int, default=40, help="at most so many")
     parser.add_argument("--coarse", action="store_true", help="on the mesh of 2,400 cells")
     parser.add_argument("--resume", action="store_true", help="take what the records in the folder have")
     parser.add_argument("--angle-of-attack", action="store_true", help="as a variable too")
     parser.add_argument("--check", action="store_true", help="compare all derivatives with differences (long)")
-    parser.add_argument("--variants", action="store_true", help="also with other choices of the model, on the coarse mesh")
+    parser.add_argument(
+        "--variants", action="store_true", help="also with other choices of the model, on the coarse mesh"
+    )
     parser.add_argument("--no-pictures", action="store_true", help="leave the pictures out")
     arguments = parser.parse_args()
     out: Path = arguments.out

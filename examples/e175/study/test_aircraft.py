@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import aircraft
 import numpy as np
 import pytest
+
+import aircraft
 from aircraft import MODEL, REFERENCE_AREA, REFERENCE_CHORD, REFERENCE_POINT, analyse, derivatives
 from raymer import FOOT, POUND_FORCE
 
@@ -14,7 +15,7 @@ TABLE_3 = ((288_800, 70_400, 740, 90), (293_000, 57_600, 658, 100), (294_500, 58
 
 @pytest.fixture
 def state() -> dict[str, float]:
-    """About the baseline in level flight."""
+    """Approximately the baseline in level flight."""
     stations = {
         "wing": {"root": (10.882, 16.326, 0.0), "kink": (13.508, 16.421, 4.8635), "tip": (17.314, 18.314, 11.9106)},
         "htail": {"root": (26.0, 29.534, 0.0), "tip": (29.7, 30.816, 5.0)},
@@ -27,8 +28,8 @@ def state() -> dict[str, float]:
         "fuselage.cabin.x": 15.8, "fuselage.hold.x": 15.0, "fuselage.nose_gear.x": 3.9, "fuselage.main_gear.x": 16.25,
         "fuselage.barrel_side.y": 1.505, "fuselage.barrel_top.z": 2.625, "fuselage.barrel_bottom.z": -0.725,
         "fuselage.tail_side.y": 0.9,
-        "flow.lift": 0.33, "flow.induced_drag": 0.0045, "flow.pressure_lift": 0.332, "flow.pressure_drag": 0.006, "flow.moment": -0.08,
-        "flow.neutral_point": 15.0, "angle_of_attack": 0.03,
+        "flow.lift": 0.33, "flow.induced_drag": 0.0045, "flow.pressure_lift": 0.332, "flow.pressure_drag": 0.006,
+        "flow.moment": -0.08, "flow.neutral_point": 15.0, "angle_of_attack": 0.03,
     }  # fmt: skip
     for surface, at in stations.items():
         for name, (leading, trailing, y) in at.items():
@@ -48,7 +49,7 @@ def test_flight_condition() -> None:
 
 
 def test_table_3_is_in_newtons() -> None:
-    """Its loadings, in pounds of force per square foot as it says, are those of its areas only if its weights are newtons."""
+    """Its loadings, in pounds of force per square foot, agree with its areas only if its weights are in newtons."""
     for gross, _, area, loading in TABLE_3:
         assert gross / POUND_FORCE / area == pytest.approx(loading, rel=0.03)
     # And its payload, 22,050 lbf, is then a third of the aircraft.
@@ -105,7 +106,10 @@ def test_tail_volume_of_straight_tapered_surfaces(state: dict[str, float]) -> No
     tail = 26.0 + 0.25 * 3.534 + (1 + 2 * taper) / (1 + taper) / 3 * (29.7 + 0.25 * 1.116 - 26.0 - 0.25 * 3.534)
     # A wing without sweep of the quarter chord.
     for station, chord in (("root", 4.0), ("kink", 3.0), ("tip", 1.5)):
-        state |= {f"wing.{station}_leading_edge.x": 14.0 - 0.25 * chord, f"wing.{station}_trailing_edge.x": 14.0 + 0.75 * chord}
+        state |= {
+            f"wing.{station}_leading_edge.x": 14.0 - 0.25 * chord,
+            f"wing.{station}_trailing_edge.x": 14.0 + 0.75 * chord,
+        }
     result = analyse(state)
     assert result["tail_arm"] == pytest.approx(tail - 14.0, rel=1e-12)
     expected = 23.25 * (tail - 14.0) / (68.2 * 3.42)
@@ -125,13 +129,17 @@ def test_derivatives_are_those_of_differences(state: dict[str, float]) -> None:
     exact = derivatives(state, results)
     sizes = np.array([max(1e-2, abs(state[name])) for name in names])
     ends = [
-        analyse({name: state[name] + shift * 1e-4 * sizes * (np.arange(len(names)) == k) for k, name in enumerate(names)})
+        analyse(
+            {name: state[name] + shift * 1e-4 * sizes * (np.arange(len(names)) == k) for k, name in enumerate(names)}
+        )
         for shift in (-2, -1, 1, 2)
     ]
     for result in results:
         a, b, c, d = (np.broadcast_to(end[result], len(names)) for end in ends)
         differences = (a - 8 * b + 8 * c - d) / 12e-4
-        np.testing.assert_allclose(exact[result] * sizes, differences, rtol=1e-8, atol=1e-8 * abs(at[result]), err_msg=result)
+        np.testing.assert_allclose(
+            exact[result] * sizes, differences, rtol=1e-8, atol=1e-8 * abs(at[result]), err_msg=result
+        )
 
 
 def test_every_number_of_the_model_matters(state: dict[str, float]) -> None:

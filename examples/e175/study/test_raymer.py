@@ -1,11 +1,13 @@
-"""Raymer's equations against numbers that others have published for theirs, and against arithmetic by hand."""
+"""Raymer's equations against published numbers of other implementations, and against arithmetic by hand."""
 
 from __future__ import annotations
 
 import math
+from typing import ClassVar
 
 import numpy as np
 import pytest
+
 import raymer
 from raymer import FOOT, GRAVITY, INCH, KNOT, POUND, POUND_FORCE
 
@@ -14,12 +16,15 @@ RAD = math.pi / 180
 
 class TestSuavesBoeing737:
     """Weights of SUAVE's Boeing 737-800 by its method "Raymer", kg, as its regression test keeps them
-    (github.com/suavecode/SUAVE, regression/scripts/weights/weights_Raymer.res; vehicle: regression/scripts/Vehicles/Boeing_737.py)."""
+    (github.com/suavecode/SUAVE, regression/scripts/weights/weights_Raymer.res; vehicle:
+    regression/scripts/Vehicles/Boeing_737.py)."""
 
-    gross = {"gross_weight": 79015.8 * GRAVITY, "load_factor": 3.75}
+    gross: ClassVar = {"gross_weight": 79015.8 * GRAVITY, "load_factor": 3.75}
 
     def test_wing(self) -> None:
-        wing = dict(area=124.862, aspect_ratio=10.18, root_thickness=0.1, taper=0.1, sweep=25 * RAD, control_area=12.4862)
+        wing = dict(
+            area=124.862, aspect_ratio=10.18, root_thickness=0.1, taper=0.1, sweep=25 * RAD, control_area=12.4862
+        )
         assert raymer.wing_weight(**self.gross, **wing) / GRAVITY == pytest.approx(6268.223851650347, rel=1e-12)
 
     def test_fuselage(self) -> None:
@@ -86,7 +91,7 @@ class TestSuavesBoeing737:
 
 
 def test_weights_by_hand() -> None:
-    """What SUAVE does otherwise: powers of numbers whose roots are known."""
+    """Where SUAVE differs: powers of numbers whose roots are known."""
     controls = raymer.flight_controls_weight(
         gross_weight=1e4 * POUND_FORCE, functions=1, control_area=32 * FOOT**2, arm=100 / 3 * FOOT
     )

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 import slsqp
 from slsqp import Constraint, minimise, stationarity
 

@@ -1,5 +1,5 @@
 //! Sweeps design variables of the E175 through their ranges and looks for jumps of the mesh and of its derivative that smooth
-//! change does not explain. Writes the courses of some vertices as JSON, for `examples/smoothness/plot.py`.
+//! change does not explain. Writes the courses of some vertices as JSON, for `xtask/scripts/smoothness/plot.py`.
 //!
 //! Over a step h the mesh must move by the mean of the derivatives at both ends, up to what the derivative's own change
 //! explains; and the derivative must change like in the steps beside.

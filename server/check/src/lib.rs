@@ -24,6 +24,8 @@ mod seam;
 mod spline;
 mod twice;
 
+use moldline_foundation::{Class, Failure};
+
 pub use chain::{Chain, Evaluation, Stages};
 pub use check::{
     CheckOptions, DesignCheck, Difference, DotProduct, Function, Linear, Outputs, Phase, Step, VariableCheck,
@@ -74,4 +76,23 @@ pub enum CheckError {
         /// Why the last one has none.
         last: Box<moldline_deform::DeformError>,
     },
+}
+
+/// Paths in a [`Request`].
+impl Failure for CheckError {
+    fn class(&self) -> Class {
+        match self {
+            Self::Deform(error) => error.class(),
+            Self::Variable { .. } => Class::Input,
+            Self::Line { .. } | Self::Vertex { .. } | Self::NoDesign { .. } => Class::Computation,
+        }
+    }
+
+    fn field(&self) -> Option<String> {
+        match self {
+            Self::Deform(error) => error.field(),
+            Self::Variable { index, .. } => Some(format!("variables[{index}]")),
+            Self::Line { .. } | Self::Vertex { .. } | Self::NoDesign { .. } => Some("designs".to_owned()),
+        }
+    }
 }

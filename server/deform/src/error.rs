@@ -1,5 +1,6 @@
 //! Why a set-up is refused or a deformation fails: what, where, and what to do.
 
+use moldline_foundation::{Class, Failure};
 use moldline_geometry::ComponentError;
 use moldline_mesh::MeshError;
 use moldline_parameterisation::{DesignError, ParameterisationError};
@@ -307,4 +308,69 @@ pub enum DeformError {
     /// The caller lost interest.
     #[error("cancelled")]
     Cancelled,
+}
+
+impl Failure for SetupError {
+    fn class(&self) -> Class {
+        match self {
+            Self::Cancelled => Class::Cancelled,
+            _ => Class::Input,
+        }
+    }
+
+    fn field(&self) -> Option<String> {
+        Some(match self {
+            Self::Cancelled => return None,
+            Self::Option { field, .. } | Self::UnknownName { field, .. } => format!("options.{field}"),
+            Self::NotSymmetric(_) => "options.symmetric".to_owned(),
+            Self::Components(_) => "components".to_owned(),
+            Self::Component { index, .. } | Self::UnusedComponent { index, .. } => {
+                format!("components[{index}]")
+            }
+            Self::Parameterisation(error) => return error.field(),
+            Self::Factorisation { field, .. } => field.clone(),
+            Self::Output { name, .. } => format!("outputs[\"{name}\"]"),
+            Self::Mesh(error) => return error.field().map(|field| format!("mesh.{field}")),
+            Self::OffSurface { worst, .. } => match worst.first() {
+                Some(worst) => format!("mesh.vertices[{}]", worst.vertex),
+                None => "mesh.vertices".to_owned(),
+            },
+            Self::CellAcrossSeam { first, .. } => match first.first() {
+                Some(cell) => format!("mesh.cells[{cell}]"),
+                None => "mesh.cells".to_owned(),
+            },
+            Self::TangentSeam { vertex, .. }
+            | Self::HeldSeam { vertex, .. }
+            | Self::SeamAtEnd { vertex, .. }
+            | Self::SeamSides { vertex, .. } => format!("mesh.vertices[{vertex}]"),
+            Self::OpenMesh { .. } | Self::NonManifold { .. } | Self::ReferenceSeam(_) => "mesh".to_owned(),
+        })
+    }
+}
+
+impl Failure for DeformError {
+    fn class(&self) -> Class {
+        match self {
+            Self::Design(_) | Self::ControlPoints(_) | Self::NoDesign | Self::SeedSize { .. } => Class::Input,
+            Self::SeamLost { .. }
+            | Self::NotProjected { .. }
+            | Self::Held { .. }
+            | Self::FootPoint { .. } => Class::Computation,
+            Self::Cancelled => Class::Cancelled,
+        }
+    }
+
+    fn field(&self) -> Option<String> {
+        Some(match self {
+            Self::Design(error) => return error.field(),
+            Self::Cancelled => return None,
+            Self::ControlPoints(_) => "control_points".to_owned(),
+            Self::SeamLost { .. }
+            | Self::NotProjected { .. }
+            | Self::Held { .. }
+            | Self::FootPoint { .. }
+            | Self::NoDesign => "design".to_owned(),
+            Self::SeedSize { index, what, .. } => format!("{what}[{index}]"),
+        })
+    }
 }

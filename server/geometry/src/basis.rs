@@ -1,8 +1,9 @@
-//! What control points contribute to a surface point and its first derivatives at fixed parameters (`dS = N dC`, `dJ = N' dC`
-//! of the derivation notes).
+//! The basis at a point: how control points enter a surface point and its first derivatives at fixed parameters
+//! (`dS = N dC`, `dJ = N' dC`; `docs/derivation.md`, section 1).
 
-use crate::block::add_row;
-use crate::{Block, Body, Location};
+use crate::block::{Block, add_row};
+use crate::body::Body;
+use crate::location::Location;
 use moldline_spline::Basis;
 
 /// The weights with which the control points of a component enter `S`, `S_u` and `S_v` at one location.
@@ -13,7 +14,7 @@ use moldline_spline::Basis;
 pub struct PointBasis {
     u: Basis,
     v: Basis,
-    /// Internal index of the first control point of the patch, and control points a row of it.
+    /// Internal index of the first control point of the patch, and the number of control points per row.
     start: usize,
     stride: usize,
     /// `1 / W`, `W_u / W`, `W_v / W`.
@@ -45,7 +46,7 @@ impl Body {
 }
 
 impl PointBasis {
-    /// Calls `f(i, [N, N_u, N_v])` for every internal control point that counts.
+    /// Calls `f(i, [N, N_u, N_v])` for every internal control point in the support.
     #[inline]
     fn for_each(&self, mut f: impl FnMut(usize, [f64; 3])) {
         let [inverse, ratio_u, ratio_v] = self.weight;

@@ -1,12 +1,12 @@
-//! Bezier pieces of patches and what is provable about them: boxes, and bounds of the derivatives.
+//! Bezier pieces of patches, with boxes and bounds of the derivatives.
 //!
 //! A point of a Bezier patch is a convex combination of its control points (of their Cartesian positions, for positive
-//! weights), and so are its derivatives of the differences of the control points. From that follow an oriented box around
-//! the piece and, for the squared distance to a given point, a proof that it is convex over the piece.
+//! weights), and its derivatives are convex combinations of differences of the control points. From that follow an oriented
+//! box around the piece and, for the squared distance to a given point, a proof that it is convex over the piece.
 
-use crate::Vector3;
-use crate::newton::Rectangle;
-use moldline_spline::{LinearRow, MAX_DEGREE, Surface};
+use crate::location::Rectangle;
+use moldline_foundation::Vector3;
+use moldline_spline::{KnotVector, LinearRow, MAX_DEGREE, Surface};
 
 /// Enough for every degree.
 pub(crate) const SIDE: usize = MAX_DEGREE + 1;
@@ -24,22 +24,9 @@ impl<const N: usize> Net<N> {
 
     /// The piece of a patch over a rectangle within one knot interval in each direction.
     pub fn new(surface: &Surface, control_points: &[[f64; 4]], [u, v]: [(f64, f64); 2]) -> Self {
-        let rows = |knots: &moldline_spline::KnotVector, (a, b): (f64, f64)| {
-            let p = knots.degree();
-            let interval = knots.interval(0.5 * (a + b));
-            let mut arguments = [a; MAX_DEGREE];
-            let mut rows = [LinearRow { first: 0, count: 0, weights: [0.0; SIDE] }; SIDE];
-            for k in 0..=p {
-                rows[k] = knots.blossom(interval, &arguments[..p]);
-                if k < p {
-                    arguments[p - 1 - k] = b;
-                }
-            }
-            rows
-        };
         let (p, q) = (surface.knots_u().degree(), surface.knots_v().degree());
-        let rows_u = rows(surface.knots_u(), u);
-        let rows_v = rows(surface.knots_v(), v);
+        let rows_u = bezier_rows(surface.knots_u(), u);
+        let rows_v = bezier_rows(surface.knots_v(), v);
         let n_v = surface.knots_v().control_point_count();
         let mut half = [[[0.0; 4]; N]; N];
         for i in 0..=p {
@@ -165,6 +152,34 @@ impl<const N: usize> Net<N> {
         }
         (vector.sqrt(), weight)
     }
+
+    /// Smallest and largest coordinates of the control points about `center`, along three axes.
+    fn extent(&self, center: &Vector3, axes: &[Vector3; 3]) -> (Vector3, Vector3) {
+        let mut low = Vector3::repeat(f64::INFINITY);
+        let mut high = -low;
+        for h in self.points() {
+            let p = position(h) - center;
+            let local = Vector3::new(axes[0].dot(&p), axes[1].dot(&p), axes[2].dot(&p));
+            low = low.inf(&local);
+            high = high.sup(&local);
+        }
+        (low, high)
+    }
+}
+
+/// The rows that give the Bezier control points over an interval within one knot interval.
+fn bezier_rows(knots: &KnotVector, (a, b): (f64, f64)) -> [LinearRow; SIDE] {
+    let p = knots.degree();
+    let interval = knots.interval(0.5 * (a + b));
+    let mut arguments = [a; MAX_DEGREE];
+    let mut rows = [LinearRow { first: 0, count: 0, weights: [0.0; SIDE] }; SIDE];
+    for k in 0..=p {
+        rows[k] = knots.blossom(interval, &arguments[..p]);
+        if k < p {
+            arguments[p - 1 - k] = b;
+        }
+    }
+    rows
 }
 
 fn xyz(h: &[f64; 4]) -> Vector3 {
@@ -174,6 +189,69 @@ fn xyz(h: &[f64; 4]) -> Vector3 {
 /// Cartesian position of a homogeneous point.
 pub(crate) fn position(h: &[f64; 4]) -> Vector3 {
     if h[3] == 1.0 { xyz(h) } else { xyz(h) / h[3] }
+}
+
+/// The nets of a piece's derivatives with respect to parameters from -1 to 1.
+struct Derivatives<const N: usize> {
+    /// `u`, `v`.
+    first: [Net<N>; 2],
+    /// `uu`, `uv`, `vv`.
+    second: [Net<N>; 3],
+    /// `uuu`, `uuv`, `uvv`, `vvv`.
+    third: [Net<N>; 4],
+}
+
+impl<const N: usize> Derivatives<N> {
+    fn new(net: &Net<N>) -> Self {
+        let first = [net.derivative(true), net.derivative(false)];
+        let second = [first[0].derivative(true), first[0].derivative(false), first[1].derivative(false)];
+        let third = [(0, true), (0, false), (2, true), (2, false)].map(|(k, u)| second[k].derivative(u));
+        Self { first, second, third }
+    }
+
+    /// `S_u, S_v` and `S_uu, S_uv, S_vv` in the middle, whose homogeneous point is `s`, by the quotient rule.
+    fn in_the_middle(&self, s: &[f64; 4], center: &Vector3, rational: bool) -> ([Vector3; 2], [Vector3; 3]) {
+        let [h_u, h_v] = [0, 1].map(|k| self.first[k].middle());
+        let second = [0, 1, 2].map(|k| self.second[k].middle());
+        if !rational {
+            return ([xyz(&h_u), xyz(&h_v)], second.map(|h| xyz(&h)));
+        }
+        let quotient = |h: &[f64; 4], rest: Vector3| (xyz(h) - rest) / s[3];
+        let d_u = quotient(&h_u, center * h_u[3]);
+        let d_v = quotient(&h_v, center * h_v[3]);
+        let [h_uu, h_uv, h_vv] = second;
+        let d_uu = quotient(&h_uu, d_u * h_u[3] + d_u * h_u[3] + center * h_uu[3]);
+        let d_uv = quotient(&h_uv, d_v * h_u[3] + d_u * h_v[3] + center * h_uv[3]);
+        let d_vv = quotient(&h_vv, d_v * h_v[3] + d_v * h_v[3] + center * h_vv[3]);
+        ([d_u, d_v], [d_uu, d_uv, d_vv])
+    }
+
+    /// Bounds of the lengths of the second and of the third derivatives over the piece, which lies within `radius` of
+    /// `center`. `least_weight` is that of the control points if the piece is rational.
+    ///
+    /// With `S - c = Q / w` Leibniz' rule gives, order by order,
+    /// `|S_a| <= (|Q_a| + sum over 0 < b <= a of binomial(a, b) |w_b| |S_(a-b)|) / min w`.
+    fn bounds(&self, center: &Vector3, radius: f64, least_weight: Option<f64>) -> ([f64; 3], [f64; 4]) {
+        let [uu, uv, vv] = [0, 1, 2].map(|k| self.second[k].bounds(center));
+        let [uuu, uuv, uvv, vvv] = [0, 1, 2, 3].map(|k| self.third[k].bounds(center));
+        let Some(w) = least_weight else {
+            return ([uu.0, uv.0, vv.0], [uuu.0, uuv.0, uvv.0, vvv.0]);
+        };
+        let [(q_u, w_u), (q_v, w_v)] = [0, 1].map(|k| self.first[k].bounds(center));
+        let ((q_uu, w_uu), (q_uv, w_uv), (q_vv, w_vv)) = (uu, uv, vv);
+        let m_u = (q_u + w_u * radius) / w;
+        let m_v = (q_v + w_v * radius) / w;
+        let m_uu = (q_uu + 2.0 * w_u * m_u + w_uu * radius) / w;
+        let m_uv = (q_uv + w_u * m_v + w_v * m_u + w_uv * radius) / w;
+        let m_vv = (q_vv + 2.0 * w_v * m_v + w_vv * radius) / w;
+        let m_uuu = (uuu.0 + 3.0 * w_u * m_uu + 3.0 * w_uu * m_u + uuu.1 * radius) / w;
+        let m_uuv =
+            (uuv.0 + 2.0 * w_u * m_uv + w_v * m_uu + w_uu * m_v + 2.0 * w_uv * m_u + uuv.1 * radius) / w;
+        let m_uvv =
+            (uvv.0 + 2.0 * w_v * m_uv + w_u * m_vv + w_vv * m_u + 2.0 * w_uv * m_v + uvv.1 * radius) / w;
+        let m_vvv = (vvv.0 + 3.0 * w_v * m_vv + 3.0 * w_vv * m_v + vvv.1 * radius) / w;
+        ([m_uu, m_uv, m_vv], [m_uuu, m_uuv, m_uvv, m_vvv])
+    }
 }
 
 /// A piece's oriented box, its Taylor expansion about the middle in parameters from -1 to 1, and bounds of how far the
@@ -201,95 +279,36 @@ pub(crate) struct Shape {
 
 impl Shape {
     pub fn new<const N: usize>(net: &Net<N>, rational: bool) -> Self {
-        let n_u = net.derivative(true);
-        let n_v = net.derivative(false);
-        let n_uu = n_u.derivative(true);
-        let n_uv = n_u.derivative(false);
-        let n_vv = n_v.derivative(false);
-        let third =
-            [n_uu.derivative(true), n_uu.derivative(false), n_vv.derivative(true), n_vv.derivative(false)];
-
-        let s = net.middle();
-        let center = position(&s);
-        let (h_u, h_v) = (n_u.middle(), n_v.middle());
-        let quotient = |h: &[f64; 4], rest: Vector3| (xyz(h) - rest) / s[3];
-        let (d_u, d_v, d_uu, d_uv, d_vv);
-        if rational {
-            d_u = quotient(&h_u, center * h_u[3]);
-            d_v = quotient(&h_v, center * h_v[3]);
-            let second = |n: &Net<N>, (a, sa): (&[f64; 4], &Vector3), (b, sb): (&[f64; 4], &Vector3)| {
-                let h = n.middle();
-                quotient(&h, sb * a[3] + sa * b[3] + center * h[3])
-            };
-            d_uu = second(&n_uu, (&h_u, &d_u), (&h_u, &d_u));
-            d_uv = second(&n_uv, (&h_u, &d_u), (&h_v, &d_v));
-            d_vv = second(&n_vv, (&h_v, &d_v), (&h_v, &d_v));
-        } else {
-            (d_u, d_v) = (xyz(&h_u), xyz(&h_v));
-            (d_uu, d_uv, d_vv) = (xyz(&n_uu.middle()), xyz(&n_uv.middle()), xyz(&n_vv.middle()));
-        }
-
-        let mut radius = 0.0f64;
-        let mut least_weight = f64::INFINITY;
+        let derivatives = Derivatives::new(net);
+        let homogeneous = net.middle();
+        let center = position(&homogeneous);
+        let (d, dd) = derivatives.in_the_middle(&homogeneous, &center, rational);
+        let (mut radius, mut least_weight) = (0.0f64, f64::INFINITY);
         for h in net.points() {
             radius = radius.max((position(h) - center).norm_squared());
             least_weight = least_weight.min(h[3]);
         }
         let radius = radius.sqrt();
-
-        // Bounds over the piece. With S - c = Q / w Leibniz' rule gives, order by order,
-        // |S_a| <= (|Q_a| + sum over 0 < b <= a of binomial(a, b) |w_b| |S_(a-b)|) / min w.
-        let bound = |n: &Net<N>| n.bounds(&center);
-        let ((q_u, w_u), (q_v, w_v)) = (bound(&n_u), bound(&n_v));
-        let ((q_uu, w_uu), (q_uv, w_uv), (q_vv, w_vv)) = (bound(&n_uu), bound(&n_uv), bound(&n_vv));
-        let [t_uuu, t_uuv, t_uvv, t_vvv] = [0, 1, 2, 3].map(|k| bound(&third[k]));
-        let (m_uu, m_uv, m_vv, m_uuu, m_uuv, m_uvv, m_vvv);
-        if rational {
-            let w = least_weight;
-            let m_u = (q_u + w_u * radius) / w;
-            let m_v = (q_v + w_v * radius) / w;
-            m_uu = (q_uu + 2.0 * w_u * m_u + w_uu * radius) / w;
-            m_uv = (q_uv + w_u * m_v + w_v * m_u + w_uv * radius) / w;
-            m_vv = (q_vv + 2.0 * w_v * m_v + w_vv * radius) / w;
-            m_uuu = (t_uuu.0 + 3.0 * w_u * m_uu + 3.0 * w_uu * m_u + t_uuu.1 * radius) / w;
-            m_uuv =
-                (t_uuv.0 + 2.0 * w_u * m_uv + w_v * m_uu + w_uu * m_v + 2.0 * w_uv * m_u + t_uuv.1 * radius)
-                    / w;
-            m_uvv =
-                (t_uvv.0 + 2.0 * w_v * m_uv + w_u * m_vv + w_vv * m_u + 2.0 * w_uv * m_v + t_uvv.1 * radius)
-                    / w;
-            m_vvv = (t_vvv.0 + 3.0 * w_v * m_vv + 3.0 * w_vv * m_v + t_vvv.1 * radius) / w;
-        } else {
-            (m_uu, m_uv, m_vv) = (q_uu, q_uv, q_vv);
-            (m_uuu, m_uuv, m_uvv, m_vvv) = (t_uuu.0, t_uuv.0, t_uvv.0, t_vvv.0);
-        }
-
+        let ([uu, uv, vv], [uuu, uuv, uvv, vvv]) =
+            derivatives.bounds(&center, radius, rational.then_some(least_weight));
         // Differences of control points carry the rounding of their coordinates, which matters for tiny pieces.
         let lost = 4.0 * f64::EPSILON * (net.p.max(net.q) as f64).powi(2) * (center.amax() + radius);
-        let axes = frame(&d_u, &d_v);
-        let mut low = Vector3::repeat(f64::INFINITY);
-        let mut high = -low;
-        for h in net.points() {
-            let p = position(h) - center;
-            let local = Vector3::new(axes[0].dot(&p), axes[1].dot(&p), axes[2].dot(&p));
-            low = low.inf(&local);
-            high = high.sup(&local);
-        }
-        let m = (low + high) * 0.5;
-        let half = (high - low) * 0.5;
+        let axes = frame(&d[0], &d[1]);
+        let (low, high) = net.extent(&center, &axes);
+        let (m, half) = ((low + high) * 0.5, (high - low) * 0.5);
         Self {
             axes,
             middle: center + axes[0] * m.x + axes[1] * m.y + axes[2] * m.z,
             half: half.into(),
             center,
             radius,
-            d: [d_u, d_v],
-            dd: [d_uu, d_uv, d_vv],
-            lengths: [d_u.norm(), d_v.norm()],
-            lengths2: [d_uu.norm(), d_uv.norm(), d_vv.norm()],
-            stray: [m_uu + m_uv + lost, m_uv + m_vv + lost],
-            stray2: [m_uuu + m_uuv + lost, m_uuv + m_uvv + lost, m_uvv + m_vvv + lost],
-            bend: [m_uu, m_vv],
+            d,
+            dd,
+            lengths: d.map(|d| d.norm()),
+            lengths2: dd.map(|dd| dd.norm()),
+            stray: [uu + uv + lost, uv + vv + lost],
+            stray2: [uuu + uuv + lost, uuv + uvv + lost, uvv + vvv + lost],
+            bend: [uu, vv],
         }
     }
 

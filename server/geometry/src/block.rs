@@ -1,8 +1,8 @@
 //! Tangents and seeds of several directions at once.
 
-use crate::Vector3;
+use moldline_foundation::Vector3;
 
-/// `width` numbers for each of a number of items, item after item.
+/// A matrix with a row of `width` numbers for each item, row after row.
 ///
 /// Tangents and seeds of `k` directions are blocks whose rows hold the vectors of direction 0, 1, ..., `k - 1` one after
 /// the other, so that a product with a matrix entry runs over contiguous numbers.
@@ -18,7 +18,7 @@ impl Block {
         Self { width, data: vec![0.0; count * width] }
     }
 
-    /// Numbers a row.
+    /// Numbers per row.
     pub fn width(&self) -> usize {
         self.width
     }
@@ -34,7 +34,7 @@ impl Block {
         &self.data[item * self.width..(item + 1) * self.width]
     }
 
-    /// A row, to be changed.
+    /// A mutable row.
     #[inline]
     pub fn row_mut(&mut self, item: usize) -> &mut [f64] {
         &mut self.data[item * self.width..(item + 1) * self.width]
@@ -45,7 +45,7 @@ impl Block {
         &self.data
     }
 
-    /// All numbers, to be changed.
+    /// All numbers, mutable.
     pub fn data_mut(&mut self) -> &mut [f64] {
         &mut self.data
     }

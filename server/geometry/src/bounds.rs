@@ -1,6 +1,6 @@
 //! Axis-aligned boxes.
 
-use crate::Vector3;
+use moldline_foundation::Vector3;
 
 /// An axis-aligned box; empty if `low > high`.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -12,7 +12,7 @@ pub struct Aabb {
 }
 
 impl Aabb {
-    /// The box that contains nothing.
+    /// The empty box.
     pub fn empty() -> Self {
         Self { low: Vector3::repeat(f64::INFINITY), high: Vector3::repeat(f64::NEG_INFINITY) }
     }
@@ -42,7 +42,7 @@ impl Aabb {
         (self.high - self.low).norm()
     }
 
-    /// The middle.
+    /// The centre.
     pub fn center(&self) -> Vector3 {
         (self.low + self.high) * 0.5
     }

@@ -1,5 +1,5 @@
-//! The signed distance of a component as an operation, with its first and second-order terms (eqs. 5 and 6; section 1 of
-//! the derivation notes).
+//! The signed distance of a component as an operation, with its first and second-order terms (eqs. 5 and 6;
+//! `docs/derivation.md`, section 2).
 //!
 //! A foot point `y = S(mu)` in a face obeys `J^T (x - y) = 0`, so that `x - y = phi n`, and for changes `dx` of the point
 //! and `dS`, `dJ` of the surface at fixed parameters
@@ -13,7 +13,11 @@
 //! with `G = J^T J` and `B_ab = S_ab . n`. On a sharp edge the same holds with the one parameter along it, at a corner the
 //! parameters are fixed; there `n = (x - y) / phi`.
 
-use crate::{Body, Feature, FootPoint, Location, Side, Vector3};
+use crate::body::Body;
+use crate::foot_point::{Feature, FootPoint};
+use crate::location::{Location, Side};
+use moldline_foundation::Vector3;
+use nalgebra::Matrix2;
 
 /// The operation `x -> phi, n` for one body.
 #[derive(Debug, Clone, Copy)]
@@ -34,8 +38,8 @@ pub struct SignedDistancePoint {
     pub foot: FootPoint,
 }
 
-/// What moves with a foot point: the point itself, and the surface under it at fixed parameters. Serves for tangents and
-/// for seeds.
+/// The arguments of a foot point: the point itself, and the surface under it at fixed parameters. Holds their tangents or
+/// their seeds.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
 pub struct FootChange {
     /// `dx`, the point.
@@ -59,22 +63,22 @@ pub struct SignedDistanceDerivative {
     offset: Vector3,
     /// Rows of `P` in `dmu = P (dx - dS) + Q dJ^T (x - y)`.
     p: [Vector3; 2],
-    q: [[f64; 2]; 2],
+    q: Matrix2<f64>,
     turn: Turn,
 }
 
-/// How the gradient turns.
+/// The form of `dn`.
 #[derive(Debug, Clone, Copy)]
 enum Turn {
     /// `dn = -J G^-1 [dJ^T n + B dmu]`.
     Face {
         /// Columns of `J G^-1`.
         lift: [Vector3; 2],
-        b: [[f64; 2]; 2],
+        b: Matrix2<f64>,
     },
     /// `dn = (I - n n^T) (dx - dS - J dmu) / phi`: edges and corners.
     Fan,
-    /// On an edge or a corner itself the gradient jumps; the mean normal is held.
+    /// `dn = 0`: on an edge or a corner itself the gradient jumps; the mean normal is held.
     Held,
 }
 
@@ -103,7 +107,7 @@ impl<'a> SignedDistance<'a> {
         SignedDistancePoint { phi, normal, foot }
     }
 
-    /// Whether a distance is none.
+    /// Whether a distance is zero up to rounding.
     fn is_on(&self, phi: f64) -> bool {
         phi.abs() <= 1e-12 * self.body.size()
     }
@@ -114,20 +118,19 @@ impl<'a> SignedDistance<'a> {
         let jet = self.body.jet(&foot.location);
         let offset = x - foot.position;
         let j = [jet.d_u, jet.d_v];
-        let dot = |v: &Vector3| [[jet.d_uu.dot(v), jet.d_uv.dot(v)], [jet.d_uv.dot(v), jet.d_vv.dot(v)]];
-        let g = [[j[0].dot(&j[0]), j[0].dot(&j[1])], [j[1].dot(&j[0]), j[1].dot(&j[1])]];
+        let uv = jet.d_uv;
+        let dot = |v: &Vector3| Matrix2::new(jet.d_uu.dot(v), uv.dot(v), uv.dot(v), jet.d_vv.dot(v));
+        let g = Matrix2::from_fn(|a, b| j[a].dot(&j[b]));
         let mut p = [Vector3::zeros(); 2];
-        let mut q = [[0.0; 2]; 2];
+        let mut q = Matrix2::zeros();
         let turn = match (foot.feature, self.parameter_along(foot)) {
             (Feature::Face, _) => {
                 // phi B, with x - y = phi n.
-                let bent = dot(&offset);
-                let h: [[f64; 2]; 2] = std::array::from_fn(|a| std::array::from_fn(|b| g[a][b] - bent[a][b]));
-                q = inverse(&h);
-                p = std::array::from_fn(|a| j[0] * q[a][0] + j[1] * q[a][1]);
-                let g = inverse(&g);
+                q = inverse(g - dot(&offset));
+                p = std::array::from_fn(|a| j[0] * q[(a, 0)] + j[1] * q[(a, 1)]);
+                let g = inverse(g);
                 Turn::Face {
-                    lift: std::array::from_fn(|a| j[0] * g[0][a] + j[1] * g[1][a]),
+                    lift: std::array::from_fn(|a| j[0] * g[(0, a)] + j[1] * g[(1, a)]),
                     b: dot(&at.normal),
                 }
             }
@@ -135,8 +138,8 @@ impl<'a> SignedDistance<'a> {
                 // An end of the edge holds a foot point that would go on behind it.
                 let free = |t: &usize| j[*t].dot(&offset).abs() <= 1e-9 * self.body.size() * j[*t].norm();
                 if let Some(t) = along.filter(free) {
-                    q[t][t] = 1.0 / (g[t][t] - dot(&offset)[t][t]);
-                    p[t] = j[t] * q[t][t];
+                    q[(t, t)] = 1.0 / (g[(t, t)] - dot(&offset)[(t, t)]);
+                    p[t] = j[t] * q[(t, t)];
                 }
                 if self.is_on(at.phi) { Turn::Held } else { Turn::Fan }
             }
@@ -163,18 +166,18 @@ impl<'a> SignedDistance<'a> {
 }
 
 impl SignedDistanceDerivative {
-    /// `dmu`: how the parameters of the foot point change.
+    /// `dmu`: the change of the foot point's parameters.
     pub fn parameters_jvp(&self, change: &FootChange) -> [f64; 2] {
         let step = change.x - change.s;
         let tilt = change.s_uv.map(|s| s.dot(&self.offset));
-        std::array::from_fn(|a| self.p[a].dot(&step) + self.q[a][0] * tilt[0] + self.q[a][1] * tilt[1])
+        std::array::from_fn(|a| self.p[a].dot(&step) + self.q[(a, 0)] * tilt[0] + self.q[(a, 1)] * tilt[1])
     }
 
     /// The transpose of [`parameters_jvp`](Self::parameters_jvp).
     pub fn parameters_vjp(&self, seed: [f64; 2]) -> FootChange {
         let x = self.p[0] * seed[0] + self.p[1] * seed[1];
         // Q is symmetric.
-        let tilt: [f64; 2] = std::array::from_fn(|a| self.q[a][0] * seed[0] + self.q[a][1] * seed[1]);
+        let tilt: [f64; 2] = std::array::from_fn(|a| self.q[(a, 0)] * seed[0] + self.q[(a, 1)] * seed[1]);
         FootChange { x, s: -x, s_uv: tilt.map(|t| self.offset * t) }
     }
 
@@ -185,7 +188,7 @@ impl SignedDistanceDerivative {
         let turned = match &self.turn {
             Turn::Face { lift, b } => {
                 let rhs: [f64; 2] = std::array::from_fn(|a| {
-                    self.normal.dot(&change.s_uv[a]) + b[a][0] * mu[0] + b[a][1] * mu[1]
+                    self.normal.dot(&change.s_uv[a]) + b[(a, 0)] * mu[0] + b[(a, 1)] * mu[1]
                 });
                 -(lift[0] * rhs[0] + lift[1] * rhs[1])
             }
@@ -207,7 +210,7 @@ impl SignedDistanceDerivative {
                 for a in 0..2 {
                     out.s_uv[a] += self.normal * t[a];
                 }
-                std::array::from_fn(|a| b[a][0] * t[0] + b[a][1] * t[1])
+                std::array::from_fn(|a| b[(a, 0)] * t[0] + b[(a, 1)] * t[1])
             }
             Turn::Fan => {
                 let across = (n - self.normal * self.normal.dot(n)) / self.phi;
@@ -239,13 +242,13 @@ impl SignedDistanceDerivative {
         out
     }
 
-    /// `P`: how the parameters follow the point, rows for `u` and `v`.
+    /// `P`: the derivative of the parameters with respect to the point, rows for `u` and `v`.
     pub fn parameters_by_point(&self) -> [Vector3; 2] {
         self.p
     }
 }
 
-fn inverse(m: &[[f64; 2]; 2]) -> [[f64; 2]; 2] {
-    let determinant = m[0][0] * m[1][1] - m[0][1] * m[1][0];
-    [[m[1][1] / determinant, -m[0][1] / determinant], [-m[1][0] / determinant, m[0][0] / determinant]]
+/// The inverse; not a number at a focal point, where the foot point and so the derivative are not unique.
+fn inverse(m: Matrix2<f64>) -> Matrix2<f64> {
+    m.try_inverse().unwrap_or_else(|| Matrix2::repeat(f64::NAN))
 }

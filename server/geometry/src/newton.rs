@@ -6,15 +6,13 @@
 //! minimum is there. The trust region shrinks where the model promises too much, so that every accepted step decreases
 //! the distance and the iteration ends at a point where the model has nothing to gain.
 
-use crate::component::Patch;
-use crate::{Side, Vector3};
+use crate::location::Rectangle;
+use moldline_foundation::Vector3;
 use moldline_spline::{Surface, SurfaceJet};
-
-pub(crate) type Rectangle = [(f64, f64); 2];
 
 /// Steps shorter than this, relative to the size of the component, are the last ones of a quadratic iteration.
 const LAST_STEP: f64 = 1e-11;
-/// Steps shorter than this, relative to the size of the component, change nothing any more.
+/// Steps shorter than this, relative to the size of the component, are lost in rounding.
 const NO_STEP: f64 = 1e-15;
 
 /// The state of an iteration within a rectangle of parameters.
@@ -34,7 +32,7 @@ pub(crate) struct Iterate<'a> {
     share: f64,
 }
 
-/// What became of a step.
+/// The outcome of a step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Progress {
     Moved,
@@ -42,7 +40,7 @@ pub(crate) enum Progress {
     Converged,
 }
 
-/// A step in the parameters and what is known about it.
+/// A step in the parameters with its properties.
 #[derive(Debug, Clone, Copy)]
 struct Step {
     du: f64,
@@ -51,7 +49,7 @@ struct Step {
     newton: bool,
     /// Length of the step in space, metres.
     length: f64,
-    /// By how much the model expects `|S - x|^2` to decrease.
+    /// The decrease of `|S - x|^2` that the model predicts.
     decrease: f64,
 }
 
@@ -166,7 +164,7 @@ impl<'a> Iterate<'a> {
     }
 }
 
-/// A bound on what rounding does to `|S - x|^2`: the difference of coordinates, and its square.
+/// A bound on the rounding of `|S - x|^2`: that of the difference of coordinates, and of its square.
 fn noise(r: &Vector3, x: &Vector3) -> f64 {
     let r = r.norm();
     1e-14 * r * (r + x.norm())
@@ -203,24 +201,16 @@ pub(crate) fn in_rectangle(
     Some((i.u, i.v))
 }
 
-/// The foot point along a side of a patch within a range of its parameter: parameter and distance.
-pub(crate) fn on_side(
-    patch: &Patch,
-    control_points: &[[f64; 4]],
-    side: Side,
-    range: (f64, f64),
+/// The foot point of `x` on a curve within a range of its parameter, from `start`: parameter and distance. `curve` gives
+/// the position relative to `x` and the first and second derivative.
+pub(crate) fn on_curve(
     x: &Vector3,
+    range: (f64, f64),
     start: f64,
+    curve: impl Fn(f64) -> [Vector3; 3],
 ) -> (f64, f64) {
-    let points = &control_points[patch.range.clone()];
-    let at = |t: f64| {
-        let l = patch.on_side(0, side, t);
-        let j = patch.surface.jet(points, l.u, l.v);
-        let (d, dd) = if side.holds_u() { (j.d_v, j.d_vv) } else { (j.d_u, j.d_uu) };
-        (j.position - x, d, dd)
-    };
     let mut t = start.clamp(range.0, range.1);
-    let (mut r, mut d, mut dd) = at(t);
+    let [mut r, mut d, mut dd] = curve(t);
     for _ in 0..60 {
         let gauss = d.norm_squared();
         if gauss == 0.0 {
@@ -239,10 +229,10 @@ pub(crate) fn on_side(
         let allowance = if newton && relative <= 1e-6 { noise(&r, x) } else { 0.0 };
         let mut scale = 1.0;
         let accepted = loop {
-            let next = at(t + scale * dt);
-            if last || next.0.norm_squared() < r.norm_squared() + allowance {
+            let next = curve(t + scale * dt);
+            if last || next[0].norm_squared() < r.norm_squared() + allowance {
                 t += scale * dt;
-                (r, d, dd) = next;
+                [r, d, dd] = next;
                 break true;
             }
             scale *= 0.5;

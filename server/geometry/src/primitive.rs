@@ -3,7 +3,11 @@
 //! A quarter circle is the quadratic with weights `1, 1/sqrt(2), 1`; a full one is four of these in one knot vector with
 //! double knots. Those knots are geometrically smooth, so the patches made by cutting there join in smooth edges.
 
-use crate::{Component, ComponentError, ComponentOptions, PatchInput, Vector3};
+use crate::component::Component;
+use crate::error::ComponentError;
+use crate::joining::ComponentOptions;
+use crate::patch::PatchInput;
+use moldline_foundation::Vector3;
 use moldline_spline::{KnotError, KnotVector};
 use std::f64::consts::FRAC_1_SQRT_2;
 
@@ -45,13 +49,13 @@ pub enum Primitive {
     },
 }
 
-/// Why a primitive cannot be made.
+/// Why a primitive is not valid.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum PrimitiveError {
     /// A measure is not finite, or not positive.
     #[error("the primitive's {field} is {value}: it must be finite and positive")]
     Measure {
-        /// Which one.
+        /// Name of the measure.
         field: &'static str,
         /// Its value.
         value: f64,

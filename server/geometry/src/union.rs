@@ -1,6 +1,6 @@
-//! The smooth union of signed distances (eq. 8; section 2 of the derivation notes).
+//! The smooth union of signed distances (eq. 8; `docs/derivation.md`, section 3).
 
-use crate::Vector3;
+use moldline_foundation::Vector3;
 
 /// Components further than this many multiples of `1 / rho` beyond the nearest weigh less than 1e-17.
 const SKIP: f64 = 40.0;
@@ -29,7 +29,7 @@ impl SmoothUnion {
     ///
     /// In the plane across the seam of two half spaces at right angles, with coordinates `a, b` being the two distances,
     /// the surface is `exp(-rho a) + exp(-rho b) = 1`. On the bisector `a = b = log(2) / rho`, at the distance
-    /// `sqrt(2) log(2) / rho` from the seam, which is what `fillet` means here.
+    /// `sqrt(2) log(2) / rho` from the seam; that distance is `fillet`.
     pub fn from_fillet(fillet: f64) -> Self {
         Self { rho: std::f64::consts::SQRT_2 * std::f64::consts::LN_2 / fillet }
     }
@@ -44,13 +44,13 @@ impl SmoothUnion {
         (components.max(1) as f64).ln() / self.rho
     }
 
-    /// How much further than the nearest component another one may be and still count, metres.
+    /// How much further than the nearest component another one may be and still have a weight, metres.
     pub fn reach(&self) -> f64 {
         SKIP / self.rho
     }
 
     /// Value and gradient from the components' distances and their gradients. `weights`, as long as `components`,
-    /// receives the `w_c`, exactly zero for those that do not count. Without components `Phi` is infinite.
+    /// receives the `w_c`, exactly zero for those out of reach. Without components `Phi` is infinite.
     pub fn eval(&self, components: &[(f64, Vector3)], weights: &mut [f64]) -> SmoothUnionPoint {
         let minimum = components.iter().fold(f64::INFINITY, |m, c| m.min(c.0));
         let mut sum = 0.0;

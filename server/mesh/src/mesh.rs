@@ -1,5 +1,6 @@
 //! Cells, groups and the validated surface mesh.
 
+use moldline_foundation::Failure;
 use thiserror::Error;
 
 /// Marks the missing fourth vertex of a triangle.
@@ -169,6 +170,21 @@ pub enum MeshError {
         /// The name.
         group: String,
     },
+}
+
+impl Failure for MeshError {
+    fn field(&self) -> Option<String> {
+        Some(match self {
+            Self::Empty { what } | Self::TooMany { what, .. } => what.replace(' ', "_"),
+            Self::Coordinate { vertex, axis, .. } => format!("vertices[{vertex}][{axis}]"),
+            Self::VertexOutOfRange { cell, corner, .. } => format!("cells[{cell}][{corner}]"),
+            Self::RepeatedVertex { cell, .. } => format!("cells[{cell}]"),
+            Self::UnusedVertices { first, .. } => format!("vertices[{first}]"),
+            Self::GroupIndexOutOfRange { kind, .. } | Self::DuplicateGroup { kind, .. } => {
+                format!("{kind}_groups")
+            }
+        })
+    }
 }
 
 /// A surface mesh whose indices and coordinates have been checked.

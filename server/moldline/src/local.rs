@@ -9,7 +9,8 @@ use std::{
 
 use clap::Args;
 use moldline_deform::{Monitor, Setup, Stage};
-use moldline_service::{Cancellation, Reporter, ServiceError};
+use moldline_host::{Cancellation, ServiceError};
+use moldline_service::reporter;
 use moldline_setup::{ArchiveKind, Files, Limits, SetupFileError, read_folder, read_setup, unpack};
 
 use crate::{bar::Bar, cli, failure::Failure};
@@ -45,7 +46,7 @@ pub fn with_bar<T, E: Into<ServiceError>>(
     work: impl FnOnce(&dyn Monitor<Stage>) -> Result<T, E>,
 ) -> Result<T, Failure> {
     let bar = Bar::new();
-    let monitor = Reporter::new(Cancellation::default(), |progress| bar.show(&progress));
+    let monitor = reporter(Cancellation::default(), |progress| bar.show(&progress));
     work(&monitor).map_err(|error| Failure::Refused(error.into()))
 }
 

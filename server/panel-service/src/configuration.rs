@@ -1,15 +1,13 @@
-//! Configurations: meshes made ready for the panel method, named by their content.
+//! Configurations: meshes prepared for the panel method, named by the hash of their content.
 
 use std::sync::Arc;
 
 use blake3::Hasher;
+use moldline_host::{Claim, ServiceError};
 use moldline_mesh::{Cell, Group, SurfaceMesh};
-use moldline_panel::{Options, PanelSetup, SetupSummary, Symmetry, TrailingEdges};
-use moldline_service::ServiceError;
+use moldline_panel::{Options, PanelError, PanelSetup, SetupSummary, Symmetry, TrailingEdges};
 
-use crate::{memory::Claim, refusal::refused};
-
-/// What a configuration is made from.
+/// Input of a configuration.
 #[derive(Clone, Debug)]
 pub struct Definition {
     /// Vertices of each cell.
@@ -20,18 +18,18 @@ pub struct Definition {
     pub cell_groups: Vec<Group>,
     /// Named vertices.
     pub vertex_groups: Vec<Group>,
-    /// Choices; the memory allowed is the service's own.
+    /// Options; the memory limit is that of the service.
     pub options: Options,
 }
 
-/// A mesh made ready. Immutable.
+/// A prepared mesh. Immutable.
 #[derive(Debug)]
 pub struct Configuration {
     /// Hash of the content.
     pub id: String,
-    /// What the panel method has found.
+    /// The set-up of the panel method.
     pub setup: PanelSetup,
-    /// The same in short.
+    /// Summary of the set-up.
     pub summary: SetupSummary,
     /// Reference positions, m.
     pub vertices: Arc<Vec<[f64; 3]>>,
@@ -92,7 +90,7 @@ impl Definition {
         hasher.finalize().to_hex().to_string()
     }
 
-    /// Bytes that the configuration takes, about: what is found for each cell, and the vertices.
+    /// Approximate size of the configuration, bytes: data of each cell, and the vertices.
     pub fn bytes(&self) -> u64 {
         const OF_CELL: u64 = 2048;
         let grouped: usize =
@@ -100,10 +98,10 @@ impl Definition {
         OF_CELL * self.cells.len() as u64 + 64 * self.vertices.len() as u64 + 8 * grouped as u64
     }
 
-    /// Checks it and finds what does not change.
+    /// Validates and prepares it.
     ///
     /// # Errors
-    /// `InvalidArgument` naming what is wrong; `ResourceExhausted` if an analysis would need more memory than
+    /// `InvalidArgument` naming the invalid field; `ResourceExhausted` if an analysis would need more memory than
     /// `memory_limit`.
     pub fn prepare(
         self,
@@ -114,8 +112,8 @@ impl Definition {
     ) -> Result<Configuration, ServiceError> {
         let Self { cells, vertices, cell_groups, vertex_groups, options } = self;
         let mesh = SurfaceMesh::with_limits(vertices, cells, cell_groups, vertex_groups, limits)
-            .map_err(|error| refused(error.into()))?;
-        let setup = PanelSetup::new(&mesh, Options { memory_limit, ..options }).map_err(refused)?;
+            .map_err(PanelError::from)?;
+        let setup = PanelSetup::new(&mesh, Options { memory_limit, ..options })?;
         let summary = setup.summary();
         let cells = mesh.cells.len();
         Ok(Configuration { id, setup, summary, vertices: Arc::new(mesh.vertices), cells, _claim: claim })
@@ -151,7 +149,7 @@ fn indices(hasher: &mut Hasher, indices: &[u32]) {
     }
 }
 
-/// Coordinates, in bulk where the machine has them as they are hashed.
+/// Hashes coordinates, in bulk on little-endian machines.
 pub(crate) fn points(hasher: &mut Hasher, points: &[[f64; 3]]) {
     if cfg!(target_endian = "little") {
         hasher.update(bytemuck::cast_slice(points.as_flattened()));

@@ -1,36 +1,36 @@
-//! The service: who may do what, with how much memory, on the pool.
+//! The service: permissions, limits and memory around the panel method on the compute pool.
 
 use std::{
     sync::Arc,
     time::{Duration, Instant},
 };
 
-use moldline_panel::{Analysis, Flow, Inputs, Outputs, Reference, SetupSummary};
-use moldline_service::{
-    CacheStatus, Code, Completed, ComputePool, Flights, Joined, PoolLimits, Principal, Product, Progress,
-    Reports, Role, ServiceError, Task, Tenant, Ticket, Timing,
+use moldline_host::{
+    Cache, CacheStatus, Code, Completed, ComputePool, Flights, Joined, PoolLimits, Principal, Product,
+    Progress, Reports, Role, ServiceError, Task, Tenant, Ticket, Timing,
+};
+use moldline_panel::{
+    Analysis, Flow, Inputs, Linearisation, Monitor, Outputs, PanelError, Reference, SetupSummary, Stage,
 };
 
 use crate::{
     configuration::{Configuration, Definition},
-    memory::Memory,
-    refusal::refused,
-    reporter::Reporter,
+    progress::reporter,
     solved::{self, Solved},
 };
 
-/// What one caller may ask for, and what the service holds.
+/// Limits on requests and on the memory of the service.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Limits {
     /// Of a mesh.
     pub mesh: moldline_mesh::Limits,
-    /// Bytes of all configurations that are kept.
+    /// Bytes of all configurations in memory.
     pub configuration_bytes: u64,
-    /// Bytes of all solutions, those that are being made included; one may take them all.
+    /// Bytes of all solutions, including those in progress; a single one may use them all.
     pub solution_bytes: u64,
     /// Flows of one analysis, and directions or seeds of one product.
     pub vectors: usize,
-    /// Bytes of the numbers of one answer or one block of directions or seeds.
+    /// Bytes of the numbers in one answer, or in one block of directions or seeds.
     pub vector_bytes: usize,
 }
 
@@ -51,7 +51,7 @@ impl Default for Limits {
     }
 }
 
-/// Where the vertices are, and how fast the flow is.
+/// Positions of the vertices, and the Mach number.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Geometry {
     /// Vertices, m; the reference positions if absent.
@@ -60,53 +60,53 @@ pub struct Geometry {
     pub mach: f64,
 }
 
-/// Where a derivative is taken: by id, by geometry, or best by both.
+/// The point of a derivative: the id of an analysis, a geometry, or preferably both.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AnalysisPoint {
     /// The analysis's id; may be empty.
     pub analysis_id: String,
-    /// What it names.
+    /// The geometry of the analysis.
     pub geometry: Option<Geometry>,
-    /// Angles and reference values.
+    /// Flow angles and reference values.
     pub flow: Flow,
 }
 
-/// A configuration that somebody asked for.
+/// The answer to a request for a configuration.
 #[derive(Clone, Debug)]
 pub struct Created {
-    /// It.
+    /// The configuration.
     pub configuration: Arc<Configuration>,
-    /// Whether it was made now.
+    /// Whether it was new.
     pub created: bool,
 }
 
 /// Analyses of one solution.
 #[derive(Clone, Debug)]
 pub struct Analysed {
-    /// What they come from.
+    /// The solution.
     pub solved: Arc<Solved>,
-    /// One for each flow.
+    /// One analysis per flow.
     pub analyses: Vec<Analysis>,
-    /// Whether it was solved before.
+    /// Whether the solution was known.
     pub reused: bool,
     /// Where the time went.
     pub timing: Timing,
 }
 
-/// What the service does and holds.
+/// Load and contents of the service.
 #[derive(Clone, Debug)]
 pub struct Status {
-    /// Since it was started.
+    /// Time since the start.
     pub uptime: Duration,
-    /// Calls that compute.
+    /// Running tasks.
     pub running: usize,
-    /// Calls that wait.
+    /// Waiting tasks.
     pub queued: usize,
-    /// At most.
+    /// Limits of the pool.
     pub pool: PoolLimits,
-    /// Configurations kept.
+    /// The cache of configurations.
     pub configurations: CacheStatus,
-    /// Solutions kept, and the bytes of those that are being made.
+    /// The cache of solutions, with the bytes of those in progress.
     pub solutions: CacheStatus,
 }
 
@@ -116,8 +116,8 @@ type Key = (Tenant, String);
 #[derive(Debug)]
 pub struct PanelService {
     pool: Arc<ComputePool>,
-    configurations: Arc<Memory<Key, Configuration>>,
-    solutions: Arc<Memory<Key, Solved>>,
+    configurations: Arc<Cache<Key, Configuration>>,
+    solutions: Arc<Cache<Key, Solved>>,
     preparations: Flights<Key, Configuration>,
     flights: Flights<Key, Solved>,
     limits: Limits,
@@ -129,8 +129,8 @@ impl PanelService {
     pub fn new(pool: Arc<ComputePool>, limits: Limits) -> Self {
         Self {
             pool,
-            configurations: Arc::new(Memory::new(limits.configuration_bytes)),
-            solutions: Arc::new(Memory::new(limits.solution_bytes)),
+            configurations: Arc::new(Cache::new(limits.configuration_bytes)),
+            solutions: Arc::new(Cache::new(limits.solution_bytes)),
             preparations: Flights::default(),
             flights: Flights::default(),
             limits,
@@ -138,17 +138,17 @@ impl PanelService {
         }
     }
 
-    /// What one caller may ask for.
+    /// The limits in force.
     pub fn limits(&self) -> &Limits {
         &self.limits
     }
 
-    /// Calls that compute or wait.
+    /// Number of running and waiting tasks.
     pub fn load(&self) -> usize {
         self.pool.load()
     }
 
-    /// What the service does and holds.
+    /// The current status.
     pub fn status(&self) -> Status {
         let pool = self.pool.limits();
         let work = self.pool.work(None);
@@ -163,10 +163,10 @@ impl PanelService {
         }
     }
 
-    /// The configuration of that content, made if it is not kept.
+    /// The configuration of that content, prepared if it is not in memory.
     ///
     /// # Errors
-    /// `InvalidArgument` naming what is wrong; `ResourceExhausted` if an analysis of it would need more memory than there may be.
+    /// `InvalidArgument` naming the invalid field; `ResourceExhausted` if an analysis of it would need more memory than the limit.
     pub async fn create_configuration(
         &self,
         caller: &Principal,
@@ -175,16 +175,16 @@ impl PanelService {
         caller.need(Role::User)?;
         let id = definition.id();
         let key = (caller.tenant.clone(), id.clone());
-        let (memory, pool, limits) =
+        let (cache, pool, limits) =
             (Arc::clone(&self.configurations), Arc::clone(&self.pool), self.limits.clone());
         let task = task(caller, "prepare", &id);
-        let land = {
-            let (memory, key) = (Arc::clone(&memory), key.clone());
-            move |configuration: &Arc<Configuration>| memory.keep(key, Arc::clone(configuration))
+        let keep = {
+            let (cache, key) = (Arc::clone(&cache), key.clone());
+            move |configuration: &Arc<Configuration>| cache.keep(key, Arc::clone(configuration))
         };
         let prepare = |_: Reports<Configuration>| async move {
             let prepared = pool.run(task, move |_| {
-                let claim = memory.claim("the configuration", definition.bytes())?;
+                let claim = cache.claim("the configuration", definition.bytes())?;
                 definition.prepare(id, &limits.mesh, limits.solution_bytes, claim)
             });
             let Completed { value, ran, .. } = prepared.await?;
@@ -192,13 +192,13 @@ impl PanelService {
             Ok(value)
         };
         let found = || self.configurations.get(&key);
-        match self.preparations.join(key.clone(), found, prepare, land) {
+        match self.preparations.join(key.clone(), found, prepare, keep) {
             Joined::Found(configuration) => Ok(Created { configuration, created: false }),
             Joined::Following(follower) => {
-                Ok(Created { configuration: follower.land(|_| {}).await?, created: false })
+                Ok(Created { configuration: follower.wait(|_| {}).await?, created: false })
             }
             Joined::Started(follower) => {
-                Ok(Created { configuration: follower.land(|_| {}).await?, created: true })
+                Ok(Created { configuration: follower.wait(|_| {}).await?, created: true })
             }
         }
     }
@@ -206,16 +206,16 @@ impl PanelService {
     /// The configuration of that id.
     ///
     /// # Errors
-    /// `NotFound` if the caller's tenant has not made it, or it was dropped.
+    /// `NotFound` if the caller's tenant has not created it, or it was evicted.
     pub fn configuration(&self, caller: &Principal, id: &str) -> Result<Arc<Configuration>, ServiceError> {
         let key = (caller.tenant.clone(), id.to_owned());
         self.configurations.get(&key).ok_or_else(|| ServiceError::not_found("configuration", id))
     }
 
-    /// The flow over one geometry, and what it says at every angle asked for.
+    /// Analyses of the flow over one geometry, at all angles in `flows`.
     ///
     /// # Errors
-    /// `InvalidArgument` naming what is wrong; `FailedPrecondition` if the method fails on these vertices;
+    /// `InvalidArgument` naming the invalid field; `FailedPrecondition` if the method fails on these vertices;
     /// `ResourceExhausted`.
     pub async fn analyse(
         &self,
@@ -238,17 +238,16 @@ impl PanelService {
         let id = name(&configuration, &geometry);
         let (solved, reused, timing) = self.solved(caller, &configuration, id, Some(geometry), tell).await?;
         let solution = Arc::clone(&solved.solution);
-        let analyse =
-            move |_: &Ticket| flows.iter().map(|flow| solution.analyse(flow).map_err(refused)).collect();
+        let analyse = move |_: &Ticket| flows.iter().map(|flow| Ok(solution.analyse(flow)?)).collect();
         let Completed { value, queued, ran } =
             self.pool.run(task(caller, "analyse", configuration_id), analyse).await?;
         Ok(Analysed { solved, analyses: value, reused, timing: timing + Timing { queued, engine: ran } })
     }
 
-    /// The changes of the outputs in several directions.
+    /// Changes of the outputs along several directions of the inputs (forward mode).
     ///
     /// # Errors
-    /// As [`analyse`](Self::analyse); `NotFound` for the id alone of a solution that is not kept.
+    /// As [`analyse`](Self::analyse); `NotFound` for an id without geometry whose solution is not in memory.
     pub async fn jvp(
         &self,
         caller: &Principal,
@@ -268,7 +267,7 @@ impl PanelService {
         .await
     }
 
-    /// The gradients of several weighted sums of the outputs.
+    /// Gradients of several weighted sums of the outputs (reverse mode).
     ///
     /// # Errors
     /// As [`jvp`](Self::jvp).
@@ -293,12 +292,7 @@ impl PanelService {
         at: AnalysisPoint,
         (kind, what): (&'static str, &str),
         count: usize,
-        work: impl FnOnce(
-            &moldline_panel::Linearisation,
-            &dyn moldline_panel::Monitor<moldline_panel::Stage>,
-        ) -> Result<Vec<T>, moldline_panel::PanelError>
-        + Send
-        + 'static,
+        work: impl FnOnce(&Linearisation, &dyn Monitor<Stage>) -> Result<Vec<T>, PanelError> + Send + 'static,
     ) -> Result<Product<Vec<T>>, ServiceError> {
         caller.need(Role::User)?;
         let configuration = self.configuration(caller, configuration_id)?;
@@ -323,19 +317,19 @@ impl PanelService {
         let (solved, _, timing) = self.solved(caller, &configuration, id, geometry, |_| {}).await?;
         let solutions = Arc::clone(&self.solutions);
         let run = move |ticket: &Ticket| {
-            // What the products take besides the system.
+            // The memory of the products besides the system.
             let bytes = configuration.summary.memory.saturating_sub(solved.solution.bytes());
             let _claim = solutions.claim("the product with the derivative", bytes)?;
-            let linearisation = solved.solution.linearise(&flow).map_err(refused)?;
-            let monitor = Reporter::new(ticket.cancellation().clone(), |progress| ticket.progress(&progress));
-            work(&linearisation, &monitor).map_err(refused)
+            let linearisation = solved.solution.linearise(&flow)?;
+            let monitor = reporter(ticket.cancellation().clone(), |progress| ticket.progress(&progress));
+            Ok(work(&linearisation, &monitor)?)
         };
         let Completed { value, queued, ran } =
             self.pool.run(task(caller, kind, configuration_id), run).await?;
         Ok(Product { value, timing: timing + Timing { queued, engine: ran } })
     }
 
-    /// The solution of that name, made from `geometry` if it is not kept; whether it was there, and the time that it took.
+    /// The solution of that id, computed from `geometry` if it is not in memory; whether it was known, and the time that it took.
     async fn solved(
         &self,
         caller: &Principal,
@@ -357,7 +351,7 @@ impl PanelService {
         let arrival = Instant::now();
         let vertices = vertices.map_or_else(|| Arc::clone(&configuration.vertices), Arc::new);
         let (pool, solutions) = (Arc::clone(&self.pool), Arc::clone(&self.solutions));
-        let land = {
+        let keep = {
             let (solutions, key) = (Arc::clone(&solutions), key.clone());
             move |solved: &Arc<Solved>| solutions.keep(key, Arc::clone(solved))
         };
@@ -382,15 +376,15 @@ impl PanelService {
                 Ok(value)
             }
         };
-        match self.flights.join(key.clone(), || self.solutions.get(&key), solve, land) {
+        match self.flights.join(key.clone(), || self.solutions.get(&key), solve, keep) {
             Joined::Found(solved) => Ok((solved, true, Timing::default())),
             Joined::Following(follower) => {
-                // Another call's work, for which this one has waited.
-                let solved = follower.land(tell).await?;
+                // The work of another call, for which this one waited.
+                let solved = follower.wait(tell).await?;
                 Ok((solved, true, Timing { queued: arrival.elapsed(), engine: Duration::ZERO }))
             }
             Joined::Started(follower) => {
-                let solved = follower.land(tell).await?;
+                let solved = follower.wait(tell).await?;
                 Ok((solved, false, spent.get().copied().unwrap_or_default()))
             }
         }
@@ -416,7 +410,7 @@ fn name(configuration: &Configuration, geometry: &Geometry) -> String {
     solved::name(configuration, vertices, geometry.mach)
 }
 
-/// That a flow makes sense, before anything is solved for it.
+/// Validates a flow before anything is solved for it.
 fn check_flow(
     angles: &str,
     reference: &str,
@@ -446,7 +440,7 @@ fn check_flow(
     point.iter().enumerate().try_for_each(|(axis, &x)| finite(format!("{reference}.point[{axis}]"), x))
 }
 
-/// What the pool knows about a piece of work.
+/// A task on a configuration.
 fn task(caller: &Principal, kind: &'static str, configuration: &str) -> Task {
     Task { kind, tenant: caller.tenant.clone(), setup: Some(configuration.to_owned()), session: None }
 }

@@ -1,15 +1,13 @@
-//! Solutions: what is kept of the flow over one geometry at one Mach number.
+//! Solutions: the flow over one geometry at one Mach number.
 
 use std::sync::Arc;
 
+use moldline_host::{Cancellation, Claim, Progress, ServiceError};
 use moldline_panel::Solution;
-use moldline_service::{Cancellation, Progress, ServiceError};
 
 use crate::{
     configuration::{Configuration, points},
-    memory::Claim,
-    refusal::refused,
-    reporter::Reporter,
+    progress::reporter,
 };
 
 /// The flow over one geometry at one Mach number, for every angle of attack.
@@ -19,12 +17,12 @@ pub struct Solved {
     pub id: String,
     /// The solution with its factored system.
     pub solution: Arc<Solution>,
-    /// Residual after each round.
+    /// Residual after each round of the solver.
     pub residuals: Vec<f64>,
     _claim: Claim,
 }
 
-/// The name of a solution. The same on every machine.
+/// The id of a solution. The same on every machine.
 pub(crate) fn name(configuration: &Configuration, vertices: &[[f64; 3]], mach: f64) -> String {
     let mut hasher = blake3::Hasher::new();
     hasher.update(b"moldline panel analysis 1\n");
@@ -44,8 +42,8 @@ impl Solved {
         cancellation: &Cancellation,
         tell: impl Fn(Progress) + Sync,
     ) -> Result<Self, ServiceError> {
-        let reporter = Reporter::new(cancellation.clone(), tell);
-        let solution = configuration.setup.solve(vertices, mach, &reporter).map_err(refused)?;
+        let reporter = reporter(cancellation.clone(), tell);
+        let solution = configuration.setup.solve(vertices, mach, &reporter)?;
         claim.shrink(solution.bytes());
         Ok(Self { id, solution: Arc::new(solution), residuals: reporter.residuals(), _claim: claim })
     }

@@ -1,11 +1,14 @@
-//! The service without a transport: names, sharing, limits, cancellation.
+//! The panel service without a transport: ids, sharing, limits, cancellation.
 #![allow(clippy::unwrap_used, reason = "helpers of tests may panic")]
 
-use std::sync::Arc;
+use std::{
+    sync::Arc,
+    time::{Duration, Instant},
+};
 
+use moldline_host::{Code, ComputePool, PoolLimits, Principal, Role, Tenant};
 use moldline_panel::{Flow, Inputs, Options, Outputs, PanelSetup, Reference, Scalars, TrailingEdges};
 use moldline_panel_service::{AnalysisPoint, Definition, Geometry, Limits, PanelService};
-use moldline_service::{Code, ComputePool, PoolLimits, Principal, Role, Tenant};
 
 #[path = "../../panel/tests/suite/meshes.rs"]
 #[allow(dead_code, reason = "the panel crate's tests use it all")]
@@ -39,6 +42,18 @@ fn still(mach: f64) -> Geometry {
     Geometry { vertices: None, mach }
 }
 
+/// Polls `attempt` until it returns a value, for a minute at most; `what` is the value waited for.
+async fn eventually<T>(what: &str, mut attempt: impl AsyncFnMut() -> Option<T>) -> T {
+    let start = Instant::now();
+    loop {
+        if let Some(value) = attempt().await {
+            return value;
+        }
+        assert!(start.elapsed() < Duration::from_secs(60), "no {what} within a minute");
+        tokio::time::sleep(Duration::from_millis(1)).await;
+    }
+}
+
 #[tokio::test]
 async fn analyses_and_products_are_those_of_the_panel_method() {
     let service = service(Limits::default());
@@ -70,7 +85,7 @@ async fn analyses_and_products_are_those_of_the_panel_method() {
         .unwrap();
     let by_id = service.vjp(&caller, id, at(&analysed.solved.id, None), vec![seed.clone()]).await.unwrap();
     assert_eq!(by_id.value, expected);
-    // Solved again by a service that never made it.
+    // Solved again by a service without the solution.
     let other = self::service(Limits::default());
     other.create_configuration(&caller, wing()).await.unwrap();
     let again = other.vjp(&caller, id, at(&analysed.solved.id, Some(still(0.3))), vec![seed]).await.unwrap();
@@ -89,7 +104,7 @@ async fn analyses_and_products_are_those_of_the_panel_method() {
 }
 
 #[tokio::test]
-async fn names_follow_content_and_the_same_work_is_done_once() {
+async fn ids_follow_content_and_concurrent_requests_share_their_work() {
     let service = service(Limits::default());
     let caller = Principal::local();
     let first = service.create_configuration(&caller, wing()).await.unwrap();
@@ -120,12 +135,12 @@ async fn a_tenant_sees_its_own_and_a_reader_computes_nothing() {
     assert_eq!(service.configuration(&stranger, &id).unwrap_err().code, Code::NotFound);
     let reader = Principal { role: Role::Reader, ..caller };
     assert!(service.configuration(&reader, &id).is_ok());
-    let refused = service.analyse(&reader, &id, still(0.0), vec![flow(0.0)], |_| {}).await.unwrap_err();
-    assert_eq!(refused.code, Code::PermissionDenied);
+    let rejected = service.analyse(&reader, &id, still(0.0), vec![flow(0.0)], |_| {}).await.unwrap_err();
+    assert_eq!(rejected.code, Code::PermissionDenied);
 }
 
 #[tokio::test]
-async fn solutions_make_room_for_newer_ones() {
+async fn older_solutions_are_evicted() {
     let caller = Principal::local();
     let needed = {
         let probe = service(Limits::default());
@@ -146,7 +161,7 @@ async fn solutions_make_room_for_newer_ones() {
 }
 
 #[tokio::test]
-async fn who_goes_away_stops_the_work() {
+async fn dropping_a_request_stops_its_work() {
     let service = service(Limits::default());
     let caller = Principal::local();
     let mesh = meshes::sphere(20);
@@ -173,15 +188,13 @@ async fn who_goes_away_stops_the_work() {
     });
     has_started.await.unwrap();
     work.abort();
-    while service.load() > 0 {
-        tokio::task::yield_now().await;
-    }
+    eventually("idle pool", async || (service.load() == 0).then_some(())).await;
     let status = service.status();
     assert_eq!((status.solutions.entries, status.solutions.bytes), (0, 0));
 }
 
 #[tokio::test]
-async fn faults_of_vertices_have_their_class() {
+async fn invalid_vertices_have_their_class() {
     let service = service(Limits::default());
     let caller = Principal::local();
     let id = service.create_configuration(&caller, wing()).await.unwrap().configuration.id.clone();

@@ -1,5 +1,6 @@
 //! Why a set-up is refused or a solution fails: what, where, and what to do.
 
+use moldline_foundation::{Class, Failure};
 use moldline_mesh::MeshError;
 use thiserror::Error;
 
@@ -198,4 +199,49 @@ pub enum PanelError {
     /// The caller asked to stop.
     #[error("cancelled")]
     Cancelled,
+}
+
+/// Paths in mesh and options, or in the arguments of an analysis.
+impl Failure for PanelError {
+    fn class(&self) -> Class {
+        match self {
+            // A valid mesh whose vertices have moved to where the method fails.
+            Self::ZeroArea { .. }
+            | Self::ZeroEdge { .. }
+            | Self::WakeCutsBody { .. }
+            | Self::Gradient { .. }
+            | Self::Singular { .. }
+            | Self::NotConverged { .. } => Class::Computation,
+            Self::Memory { .. } => Class::Memory,
+            Self::Cancelled => Class::Cancelled,
+            _ => Class::Input,
+        }
+    }
+
+    fn field(&self) -> Option<String> {
+        Some(match self {
+            Self::Mesh(error) => return error.field(),
+            Self::Memory { .. } | Self::Cancelled => return None,
+            Self::UnknownGroup { field, .. } => format!("options.{field}"),
+            Self::OutOfRange { field, .. } | Self::Length { field, .. } => field.clone(),
+            Self::Open { cell, .. } | Self::Inwards { cell, .. } => format!("cells[{cell}]"),
+            Self::NonManifold { cells, .. } | Self::Inconsistent { cells, .. } => match cells.first() {
+                Some(cell) => format!("cells[{cell}]"),
+                None => "cells".to_owned(),
+            },
+            Self::NotAnEdge { index, .. } => format!("options.trailing_edges[{index}]"),
+            Self::NoTrailingEdge { .. }
+            | Self::BranchedTrailingEdge { .. }
+            | Self::BluntTrailingEdge { .. }
+            | Self::NoCarryOver { .. } => "options.trailing_edges".to_owned(),
+            Self::Sideslip { .. } => "sideslip".to_owned(),
+            Self::NotSymmetric(_)
+            | Self::ZeroArea { .. }
+            | Self::ZeroEdge { .. }
+            | Self::WakeCutsBody { .. }
+            | Self::Gradient { .. }
+            | Self::Singular { .. }
+            | Self::NotConverged { .. } => "vertices".to_owned(),
+        })
+    }
 }

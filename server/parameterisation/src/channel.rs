@@ -1,12 +1,12 @@
-//! How an operation reads its variables out of the design vector.
+//! Channels: how an operation reads its variables out of the design vector.
 
 use std::ops::Range;
 
 use nalgebra::convert;
 
-use crate::Scalar;
+use crate::scalar::Scalar;
 
-/// Variables that are added: the effect is `(value - baseline) * si`.
+/// Additive variables: the effect is `(value - baseline) * si`.
 #[derive(Clone, Debug)]
 pub(crate) struct Additive {
     /// Place of the coefficients in the design vector.
@@ -30,7 +30,7 @@ impl Additive {
     }
 }
 
-/// A variable that multiplies: the effect is `value / baseline`, exactly 1 at the baseline whatever the unit.
+/// A multiplicative variable: the effect is `value / baseline`, exactly 1 at the baseline whatever the unit.
 #[derive(Clone, Debug)]
 pub(crate) struct Relative {
     pub(crate) index: usize,

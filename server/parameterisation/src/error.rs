@@ -1,24 +1,25 @@
 //! Typed errors; `field` is the path in the declaration, e.g. `operations[2].sections[0].variable`.
 
+use moldline_foundation::Failure;
 use moldline_spline::KnotError;
 
-use crate::{Dimension, Unit};
+use crate::unit::{Dimension, Unit};
 
 /// Why a parameterisation cannot be built.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum ParameterisationError {
-    /// A component's data do not fit together.
+    /// The lists of a patch do not fit its basis.
     #[error("components[{component}].patches[{patch}]: {found} {what}, expected {expected}")]
     PatchSize {
         /// Index of the component.
         component: usize,
         /// Index of the patch.
         patch: usize,
-        /// What is counted.
+        /// The list that is counted.
         what: &'static str,
-        /// How many there are.
+        /// Its length.
         found: usize,
-        /// How many there should be.
+        /// The length that the basis requires.
         expected: usize,
     },
     /// A control point, weight or number of the declaration is NaN or infinite.
@@ -29,7 +30,7 @@ pub enum ParameterisationError {
         /// The offending value.
         value: f64,
     },
-    /// Two things of one kind share a name.
+    /// Two components, variables or references share a name.
     #[error("{field}: the name '{name}' is already taken; names must be unique")]
     DuplicateName {
         /// Path of the second one.
@@ -37,17 +38,17 @@ pub enum ParameterisationError {
         /// The name.
         name: String,
     },
-    /// A name refers to nothing.
+    /// A reference to a name that does not exist.
     #[error("{field} = '{name}' does not exist; there are: {known}")]
     UnknownName {
         /// Path of the reference.
         field: String,
         /// The name as written.
         name: String,
-        /// Comma separated list of names that exist.
+        /// Comma-separated list of names that exist.
         known: String,
     },
-    /// A list that must not be empty is.
+    /// A required list is empty.
     #[error("{field} is empty")]
     Empty {
         /// Path of the list.
@@ -61,7 +62,7 @@ pub enum ParameterisationError {
         /// Its name.
         name: String,
     },
-    /// The variable's unit measures something else than the operation needs.
+    /// The variable's unit is not of the dimension that the operation takes.
     #[error("{field}: variable '{variable}' is in {unit}, but this operation takes {expected}")]
     WrongUnit {
         /// Path of the reference to the variable.
@@ -70,7 +71,7 @@ pub enum ParameterisationError {
         variable: String,
         /// Its declared unit.
         unit: Unit,
-        /// What is needed.
+        /// The dimension required.
         expected: Dimension,
     },
     /// The variable's shape does not fit the operation.
@@ -82,7 +83,7 @@ pub enum ParameterisationError {
         variable: String,
         /// Its declared shape.
         shape: Vec<usize>,
-        /// What is needed, in words.
+        /// The shape required, in words.
         expected: String,
     },
     /// lower <= baseline <= upper does not hold.
@@ -123,7 +124,7 @@ pub enum ParameterisationError {
         /// Its baseline.
         baseline: f64,
     },
-    /// A count is zero or larger than what is accepted.
+    /// A count is outside the accepted range.
     #[error("{field} = {value} is outside {lowest}..={highest}")]
     OutOfRange {
         /// Path of the count.
@@ -135,12 +136,12 @@ pub enum ParameterisationError {
         /// Largest accepted.
         highest: usize,
     },
-    /// A degree and a number of coefficients that make no B-spline.
+    /// A degree and a number of coefficients that do not define a B-spline.
     #[error("{field}: {source}")]
     Knots {
         /// Path of the function or lattice direction.
         field: String,
-        /// What is wrong with it.
+        /// The reason.
         source: KnotError,
     },
     /// Geometry that the operation cannot work on.
@@ -148,7 +149,7 @@ pub enum ParameterisationError {
     Geometry {
         /// Path of the operation.
         field: String,
-        /// What is wrong and what would do.
+        /// The problem and the remedy.
         reason: String,
     },
 }
@@ -200,12 +201,12 @@ pub enum DesignError {
         /// The value.
         value: f64,
     },
-    /// A value was given for a name that no variable has.
+    /// A value for a name that no variable has.
     #[error("there is no design variable '{name}'{}", suggestion(.nearest))]
     UnknownName {
         /// The name as given.
         name: String,
-        /// The most similar name there is.
+        /// The most similar existing name, if one is close.
         nearest: Option<String>,
     },
     /// An override names a component that does not exist, or gives it a wrong number of points.
@@ -215,10 +216,10 @@ pub enum DesignError {
         component: usize,
         /// Points given.
         found: usize,
-        /// Points of that component; 0 when there is no such component.
+        /// Points of that component; 0 if it does not exist.
         expected: usize,
     },
-    /// A control point given from outside is NaN or infinite.
+    /// A given control point is NaN or infinite.
     #[error("override of component {component}: control_points[{index}][{axis}] = {value} is not finite")]
     OverrideNotFinite {
         /// Index of the component.
@@ -244,4 +245,49 @@ pub enum DesignError {
 
 fn suggestion(nearest: &Option<String>) -> String {
     nearest.as_ref().map_or_else(String::new, |name| format!("; did you mean '{name}'?"))
+}
+
+/// Paths in a set-up, of which the declaration is the part `parameterisation` and the control points are in `components`.
+impl Failure for ParameterisationError {
+    fn field(&self) -> Option<String> {
+        let field = match self {
+            Self::PatchSize { component, patch, .. } => {
+                return Some(format!("components[{component}].patches[{patch}]"));
+            }
+            Self::NotFinite { field, .. }
+            | Self::DuplicateName { field, .. }
+            | Self::UnknownName { field, .. }
+            | Self::Empty { field }
+            | Self::WrongUnit { field, .. }
+            | Self::WrongShape { field, .. }
+            | Self::NeedsBaseline { field, .. }
+            | Self::BaselineNotPositive { field, .. }
+            | Self::OutOfRange { field, .. }
+            | Self::Knots { field, .. }
+            | Self::Geometry { field, .. } => field.clone(),
+            Self::UnusedVariable { index, .. } | Self::BaselineOutsideBounds { index, .. } => {
+                format!("variables[{index}]")
+            }
+        };
+        Some(format!("parameterisation.{field}"))
+    }
+}
+
+impl Failure for DesignError {
+    fn field(&self) -> Option<String> {
+        Some(match self {
+            Self::Length { .. } => "design".to_owned(),
+            Self::NotFinite { index, .. }
+            | Self::OutOfBounds { index, .. }
+            | Self::NotPositive { index, .. } => {
+                format!("design[{index}]")
+            }
+            Self::UnknownName { name, .. } => format!("design[\"{name}\"]"),
+            Self::OverrideSize { component, .. } => format!("control_points[{component}]"),
+            Self::OverrideNotFinite { component, index, axis, .. } => {
+                format!("control_points[{component}][{index}][{axis}]")
+            }
+            Self::VectorLength { what, .. } => what.clone(),
+        })
+    }
 }

@@ -3,49 +3,21 @@
 use std::collections::HashMap;
 use std::ops::Range;
 
-use moldline_spline::Vector3;
-use nalgebra::{RealField, convert};
+use moldline_foundation::Vector3;
+use nalgebra::convert;
 
-use crate::compile::{Compiled, compile};
-use crate::declaration::{ComponentReference, OperationDeclaration, VariableDeclaration};
-use crate::freeform::FreeForm;
-use crate::planform::Planform;
-use crate::radial::RadialScale;
-use crate::rotation::Rotation;
-use crate::translation::Translation;
-use crate::variables::{DesignSpace, Group, Variable};
-use crate::{DesignError, ParameterisationError};
+use crate::compile::Compiler;
+use crate::error::{DesignError, ParameterisationError};
+use crate::operation::{Declaration, Lattice, Operation};
+use crate::operations::{AnyOperation, OperationDeclaration};
+use crate::reference::ComponentReference;
+use crate::scalar::Scalar;
+use crate::variables::{DesignSpace, Group, Variable, VariableDeclaration};
 
 /// Cartesian control points, m: per component, in the order of its reference.
 pub type ControlPoints = Vec<Vec<[f64; 3]>>;
 
-/// What the map can be evaluated in: `f64`, and numbers that carry derivatives along with a value of that precision.
-pub trait Scalar: RealField + Copy {}
-
-impl<T: RealField + Copy> Scalar for T {}
-
-/// Adds, so that a vanishing step keeps the bits (-0.0 included).
-pub(crate) fn shift<T: Scalar>(point: &mut nalgebra::Vector3<T>, step: nalgebra::Vector3<T>) {
-    for axis in 0..3 {
-        let (at, by) = (point[axis], step[axis]);
-        // A number that carries derivatives compares by its value, but has something to add all the same: -0.0 is kept by
-        // the order of signs, not by leaving the sum out.
-        let keeps_sign = by == T::zero() && at.is_sign_negative();
-        point[axis] = if keeps_sign { -(-at - by) } else { at + by };
-    }
-}
-
-/// A compiled operation.
-#[derive(Clone, Debug)]
-pub(crate) enum Operation {
-    FreeForm(Box<FreeForm>),
-    Planform(Planform),
-    Rotation(Rotation),
-    Translation(Translation),
-    RadialScale(RadialScale),
-}
-
-/// Design variables and what they do to the control points of every component. Immutable.
+/// The map from design variables to the control points of every component. Immutable.
 #[derive(Clone, Debug)]
 pub struct Parameterisation {
     variables: Vec<Variable>,
@@ -58,25 +30,16 @@ pub struct Parameterisation {
     ranges: Vec<Range<usize>>,
     /// Reference control points of all components, then points carried along (pivots, centre lines).
     reference: Vec<Vector3>,
-    operations: Vec<Operation>,
+    operations: Vec<AnyOperation>,
 }
 
-/// Control points of one component given directly, in place of what the design makes of it.
+/// Control points of one component, given directly in place of those of the design.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Override {
     /// Index of the component.
     pub component: usize,
     /// As many Cartesian control points as the component has, m.
     pub control_points: Vec<[f64; 3]>,
-}
-
-/// The control lattice of a free-form block, for pictures.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Lattice {
-    /// Points along chord, span and thickness.
-    pub shape: [usize; 3],
-    /// The points, m; index `(i n_span + k) n_thickness + j`.
-    pub points: Vec<[f64; 3]>,
 }
 
 /// The map at one design, ready for products with its Jacobian (3 control-point coordinates x variables).
@@ -92,15 +55,31 @@ impl Parameterisation {
     /// Compiles a declaration against the reference geometry.
     ///
     /// # Errors
-    /// The first thing in the declaration that does not hold, with its path.
+    /// The first violation in the declaration, with its path.
     pub fn new(
         components: &[ComponentReference],
         variables: &[VariableDeclaration],
         operations: &[OperationDeclaration],
     ) -> Result<Self, ParameterisationError> {
-        let Compiled { design_space, ranges, points, operations } =
-            compile(components, variables, operations)?;
-        let DesignSpace { variables, groups, positive } = design_space;
+        let mut compiler = Compiler::new(components, variables)?;
+        let mut sites = Vec::with_capacity(operations.len());
+        for (i, operation) in operations.iter().enumerate() {
+            let mut site = compiler.site(i, operation.components())?;
+            if let Some(pivot) = operation.pivot(&site, &compiler)? {
+                compiler.place_pivot(&mut site, pivot);
+            }
+            sites.push(site);
+        }
+        for (site, operation) in sites.iter_mut().zip(operations) {
+            site.centres = operation.centres(site, &mut compiler)?;
+        }
+        let operations = sites
+            .iter()
+            .zip(operations)
+            .map(|(site, operation)| operation.compile(site, &mut compiler))
+            .collect::<Result<_, _>>()?;
+        let Compiler { ranges, points: reference, variables, .. } = compiler;
+        let DesignSpace { variables, groups, positive } = variables.finish()?;
         let names = variables.iter().enumerate().map(|(i, v)| (v.name.clone(), i)).collect();
         Ok(Self {
             variables,
@@ -109,7 +88,7 @@ impl Parameterisation {
             names,
             component_names: components.iter().map(|c| c.name.clone()).collect(),
             ranges,
-            reference: points,
+            reference,
             operations,
         })
     }
@@ -163,7 +142,7 @@ impl Parameterisation {
     /// Checks length, finite values and bounds.
     ///
     /// # Errors
-    /// The first value that is not acceptable.
+    /// The first value that is not accepted.
     pub fn validate(&self, design: &[f64]) -> Result<(), DesignError> {
         self.check(design)?;
         for (index, (&value, variable)) in design.iter().zip(&self.variables).enumerate() {
@@ -181,7 +160,7 @@ impl Parameterisation {
         Ok(())
     }
 
-    /// Everything that evaluation relies on; bounds are the caller's choice.
+    /// Checks everything that evaluation relies on; bounds are left to the caller.
     fn check(&self, design: &[f64]) -> Result<(), DesignError> {
         if design.len() != self.variables.len() {
             return Err(DesignError::Length { expected: self.variables.len(), found: design.len() });
@@ -243,7 +222,7 @@ impl Parameterisation {
         Ok(all)
     }
 
-    /// The map at a design, for derivatives.
+    /// The linearisation of the map at a design.
     ///
     /// # Errors
     /// As [`Self::control_points`].
@@ -264,22 +243,11 @@ impl Parameterisation {
     /// As [`Self::control_points`].
     pub fn lattices(&self, design: &[f64]) -> Result<Vec<Lattice>, DesignError> {
         self.check(design)?;
-        Ok(self
-            .operations
-            .iter()
-            .filter_map(|operation| match operation {
-                Operation::FreeForm(block) => Some(block),
-                _ => None,
-            })
-            .map(|block| {
-                let points = block.reference_lattice().into_iter().zip(block.lattice_displacement(design));
-                Lattice { shape: block.shape(), points: points.map(|(p, step)| (p + step).into()).collect() }
-            })
-            .collect())
+        Ok(self.operations.iter().filter_map(|operation| operation.lattice(design)).collect())
     }
 
-    /// As [`Self::control_points`] in numbers of another kind, such as dual numbers: the same operations in the same order,
-    /// so that what such numbers carry along is that of the map. Bounds and signs are not looked at.
+    /// As [`Self::control_points`] in another number type, such as dual numbers: the same operations in the same order, so
+    /// that derivatives carried along are those of the map. Bounds and signs are not checked.
     ///
     /// # Errors
     /// [`DesignError::Length`].
@@ -322,8 +290,8 @@ impl Linearisation<'_> {
         Ok(self.parameterisation.split(&tangents))
     }
 
-    /// J^T w for each of `seeds` (one 3-vector per control point of every component): a gradient per design variable,
-    /// per declared unit.
+    /// J^T w for each of `seeds` (one 3-vector per control point of every component): the gradient with respect to the
+    /// design variables in their declared units.
     ///
     /// # Errors
     /// [`DesignError::VectorLength`].
@@ -353,41 +321,7 @@ fn expect_length(what: impl FnOnce() -> String, found: usize, expected: usize) -
     if found == expected { Ok(()) } else { Err(DesignError::VectorLength { what: what(), expected, found }) }
 }
 
-impl Operation {
-    fn eval<T: Scalar>(&self, design: &[T], points: &mut [nalgebra::Vector3<T>]) {
-        match self {
-            Self::FreeForm(o) => o.eval(design, points),
-            Self::Planform(o) => o.eval(design, points),
-            Self::Rotation(o) => o.eval(design, points),
-            Self::Translation(o) => o.eval(design, points),
-            Self::RadialScale(o) => o.eval(design, points),
-        }
-    }
-
-    /// `points` before the operation; `tangents` from before it to after it.
-    fn jvp(&self, design: &[f64], points: &[Vector3], direction: &[f64], tangents: &mut [Vector3]) {
-        match self {
-            Self::FreeForm(o) => o.jvp(design, direction, tangents),
-            Self::Planform(o) => o.jvp(design, points, direction, tangents),
-            Self::Rotation(o) => o.jvp(design, points, direction, tangents),
-            Self::Translation(o) => o.jvp(direction, tangents),
-            Self::RadialScale(o) => o.jvp(design, points, direction, tangents),
-        }
-    }
-
-    /// `points` before the operation; `seeds` from after it to before it; adds to `gradient`.
-    fn vjp(&self, design: &[f64], points: &[Vector3], seeds: &mut [Vector3], gradient: &mut [f64]) {
-        match self {
-            Self::FreeForm(o) => o.vjp(design, seeds, gradient),
-            Self::Planform(o) => o.vjp(design, points, seeds, gradient),
-            Self::Rotation(o) => o.vjp(design, points, seeds, gradient),
-            Self::Translation(o) => o.vjp(seeds, gradient),
-            Self::RadialScale(o) => o.vjp(design, points, seeds, gradient),
-        }
-    }
-}
-
-/// The name with the smallest edit distance, if it is close enough to be a slip of the pen.
+/// The name with the smallest edit distance, if it is close enough for a misspelling.
 fn nearest<'n>(name: &str, names: impl Iterator<Item = &'n str>) -> Option<String> {
     const LONGEST: usize = 100;
     if name.len() > LONGEST {
@@ -395,22 +329,8 @@ fn nearest<'n>(name: &str, names: impl Iterator<Item = &'n str>) -> Option<Strin
     }
     names
         .filter(|candidate| candidate.len() <= LONGEST)
-        .map(|candidate| (edit_distance(name.as_bytes(), candidate.as_bytes()), candidate))
+        .map(|candidate| (strsim::levenshtein(name, candidate), candidate))
         .min()
         .filter(|(distance, _)| *distance <= 3)
         .map(|(_, candidate)| candidate.into())
-}
-
-fn edit_distance(a: &[u8], b: &[u8]) -> usize {
-    let mut row: Vec<usize> = (0..=b.len()).collect();
-    for (i, x) in a.iter().enumerate() {
-        let mut diagonal = row[0];
-        row[0] = i + 1;
-        for (j, y) in b.iter().enumerate() {
-            let replaced = diagonal + usize::from(x != y);
-            diagonal = row[j + 1];
-            row[j + 1] = replaced.min(row[j] + 1).min(diagonal + 1);
-        }
-    }
-    row[b.len()]
 }

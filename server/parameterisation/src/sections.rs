@@ -2,38 +2,19 @@
 
 use std::{cell::OnceCell, ops::Range};
 
-use moldline_spline::Vector3;
+use moldline_foundation::Vector3;
 
-use crate::{Axis, ComponentReference};
+use crate::{axis::Axes, reference::ComponentReference};
 
-/// Samples kept per component at most, so that a huge control net does not become a huge sampling.
+/// Most samples kept per component, so that a huge control net does not become a huge sampling.
 const SAMPLE_LIMIT: usize = 100_000;
-/// Points of a sample line that are passed over at once where a plane is elsewhere.
+/// Points of a sample line that a plane skips together.
 const BLOCK: usize = 4;
-/// Slabs in which a plane looks for the blocks that it meets, and entries of blocks in all of them, at most.
+/// Most slabs in which a plane looks for blocks, and most entries of blocks in all of them.
 const SLABS: usize = 256;
 const SLAB_ENTRIES: usize = 4_000_000;
 /// Sections of the midpoint rule for the planform area.
 const AREA_SECTIONS: usize = 256;
-
-/// The axes of a lifting surface: span, chord (aft) and thickness (up), as indices of coordinates.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Axes {
-    pub(crate) span: usize,
-    pub(crate) chord: usize,
-    pub(crate) thickness: usize,
-}
-
-impl Axes {
-    /// Chord along x (y when the span is x), thickness along what remains.
-    pub(crate) fn of_span(span: Axis) -> Self {
-        match span {
-            Axis::X => Self { span: 0, chord: 1, thickness: 2 },
-            Axis::Y => Self { span: 1, chord: 0, thickness: 2 },
-            Axis::Z => Self { span: 2, chord: 0, thickness: 1 },
-        }
-    }
-}
 
 /// A cut of the planform: leading edge and the vector from there to the trailing edge, each `[chord, thickness]`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -51,15 +32,15 @@ impl Section {
 /// Grids of points on the surfaces of some components, to be cut by planes.
 pub(crate) struct SampledSurfaces {
     grids: Vec<Grid>,
-    /// Of all grids, one after the other.
+    /// The blocks of all grids, one grid after the other.
     blocks: Vec<Block>,
-    /// Of all points.
+    /// Bounds of all points.
     bounds: Bounds,
-    /// Across each axis, made for the first cut.
+    /// The slabs across each axis, made for the first cut.
     slabs: [OnceCell<Slabs>; 3],
 }
 
-/// Points of a patch.
+/// A grid of points on a patch.
 struct Grid {
     n_u: usize,
     n_v: usize,
@@ -67,18 +48,18 @@ struct Grid {
     points: Vec<Vector3>,
 }
 
-/// Part of a row of a grid.
+/// A part of a row of a grid.
 struct Block {
     grid: usize,
     row: usize,
     /// First and last column (exclusive).
     columns: Range<usize>,
-    /// Of the lines that begin in it.
+    /// Bounds of the lines that begin in it.
     bounds: Bounds,
 }
 
 impl Grid {
-    /// Its blocks, row by row.
+    /// The blocks of the grid, row by row.
     fn blocks(&self, grid: usize) -> impl Iterator<Item = Block> + '_ {
         let Self { n_u, n_v, ref points } = *self;
         (0..n_u).flat_map(move |row| {
@@ -94,7 +75,7 @@ impl Grid {
     }
 }
 
-/// The space between the smallest and the largest coordinate along an axis, cut into slabs of one width.
+/// Slabs of equal width between the smallest and the largest coordinate along an axis.
 struct Slabs {
     low: f64,
     width: f64,
@@ -115,7 +96,8 @@ impl Slabs {
         slabs
     }
 
-    /// Of the slab of a coordinate, or of the nearest one. Does not decrease with the coordinate, whatever the rounding.
+    /// Index of the slab of a coordinate, or of the nearest one. It does not decrease with the coordinate, whatever the
+    /// rounding.
     fn number(&self, x: f64) -> usize {
         (((x - self.low) / self.width) as usize).min(self.blocks.len() - 1)
     }

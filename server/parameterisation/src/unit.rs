@@ -2,16 +2,16 @@
 
 use std::fmt;
 
-/// What a variable measures; two units are interchangeable when their dimensions agree.
+/// The dimension of a variable; two units are interchangeable when their dimensions agree.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Dimension {
     /// Dimensionless: factors, fractions of the local chord.
     Ratio,
-    /// Length, metres inside.
+    /// Length, in metres inside.
     Length,
-    /// Area, square metres inside.
+    /// Area, in square metres inside.
     Area,
-    /// Angle, radians inside.
+    /// Angle, in radians inside.
     Angle,
 }
 
@@ -61,7 +61,7 @@ impl Unit {
         }
     }
 
-    /// What the unit measures.
+    /// The dimension of the unit.
     pub fn dimension(self) -> Dimension {
         match self {
             Unit::One | Unit::Percent => Dimension::Ratio,

@@ -4,10 +4,29 @@ use std::collections::HashMap;
 use std::ops::Range;
 
 use crate::channel::{Additive, Relative};
-use crate::{Dimension, ParameterisationError, Unit, VariableDeclaration};
+use crate::error::ParameterisationError;
+use crate::unit::{Dimension, Unit};
 
 /// Scalars that one parameterisation may have.
 const VARIABLE_LIMIT: usize = 1_000_000;
+
+/// A named design variable: a scalar, a vector or a table of them, in row-major order.
+#[derive(Clone, Debug, PartialEq)]
+pub struct VariableDeclaration {
+    /// Unique name; the scalars are called `name`, `name[i]` or `name[i][j]`.
+    pub name: String,
+    /// Empty for a scalar, `[n]`, or `[rows, stations]`.
+    pub shape: Vec<usize>,
+    /// Unit of baseline, bounds and values.
+    pub unit: Unit,
+    /// The value that leaves the reference geometry as it is. Default: 0 for a variable that is added, 1 for a factor,
+    /// the reference geometry's own value for planform area and aspect ratio.
+    pub baseline: Option<f64>,
+    /// Lower bound of each scalar; may be `-INFINITY`.
+    pub lower: f64,
+    /// Upper bound of each scalar; may be `INFINITY`.
+    pub upper: f64,
+}
 
 /// One scalar of the design vector.
 #[derive(Clone, Debug, PartialEq)]
@@ -35,14 +54,14 @@ pub struct Group {
     pub range: Range<usize>,
 }
 
-/// What remains of the declarations: the flat list, the groups, and which scalars must be positive.
+/// The design vector after compilation: its scalars, its groups, and which scalars must be positive.
 pub(crate) struct DesignSpace {
     pub(crate) variables: Vec<Variable>,
     pub(crate) groups: Vec<Group>,
     pub(crate) positive: Vec<bool>,
 }
 
-/// Declared variables while operations look them up.
+/// The declared variables, with the baselines and requirements that operations find for them.
 pub(crate) struct Variables<'a> {
     declarations: &'a [VariableDeclaration],
     index: HashMap<&'a str, usize>,
@@ -89,7 +108,7 @@ impl<'a> Variables<'a> {
                     });
                 }
             }
-            // Bounds may be infinite, which means that there is none; a baseline may not.
+            // An infinite bound means no bound; a baseline must be finite.
             let finite = [("baseline", declaration.baseline.unwrap_or(0.0))];
             let not_nan = [("lower", declaration.lower), ("upper", declaration.upper)];
             let bad = finite
@@ -168,7 +187,7 @@ impl<'a> Variables<'a> {
         }
     }
 
-    /// A variable of any shape whose values are added.
+    /// An additive variable of any shape.
     pub(crate) fn additive(
         &mut self,
         field: &str,
@@ -181,7 +200,7 @@ impl<'a> Variables<'a> {
         Ok(Additive { range: self.ranges[i].clone(), baseline, si: self.declarations[i].unit.to_si() })
     }
 
-    /// A scalar whose values are added.
+    /// An additive scalar.
     pub(crate) fn additive_scalar(
         &mut self,
         field: &str,
@@ -192,7 +211,7 @@ impl<'a> Variables<'a> {
         self.additive(field, name, dimension)
     }
 
-    /// A scalar that acts relative to its baseline; `natural` is the baseline in SI units, where there is one.
+    /// A multiplicative scalar; `natural` is the baseline in SI units that the geometry gives it, if any.
     pub(crate) fn relative(
         &mut self,
         field: &str,
@@ -231,7 +250,7 @@ impl<'a> Variables<'a> {
         }
     }
 
-    /// Refuses what is unused or out of bounds, and lays the scalars one after the other.
+    /// Refuses unused variables and baselines out of bounds, and lays the scalars one after the other.
     pub(crate) fn finish(self) -> Result<DesignSpace, ParameterisationError> {
         let (mut variables, mut groups, mut positive) = (Vec::new(), Vec::new(), Vec::new());
         for (i, declaration) in self.declarations.iter().enumerate() {
@@ -270,7 +289,7 @@ impl<'a> Variables<'a> {
     }
 }
 
-/// A comma separated list that stays readable.
+/// A comma-separated list, cut after twenty names.
 pub(crate) fn list(names: &[&str]) -> String {
     const SHOWN: usize = 20;
     match names.len() {

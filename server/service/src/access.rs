@@ -1,10 +1,12 @@
-//! Who may use a set-up, and what callers learn of set-ups and sessions without opening them.
+//! Visibility of set-ups, and summaries of set-ups and sessions in lists.
 
 use std::{collections::BTreeSet, time::SystemTime};
 
-use crate::{linearisation::Design, principal::Tenant};
+use moldline_host::Tenant;
 
-/// Who may use a set-up besides its owner.
+use crate::linearisation::Design;
+
+/// The tenants that may use a set-up besides its owner.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum Visibility {
     /// Nobody.
@@ -16,21 +18,21 @@ pub enum Visibility {
     Public,
 }
 
-/// What a set-up is to the caller.
+/// A caller's access to a set-up.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Access {
     /// Whether the caller has uploaded it.
     pub owned: bool,
-    /// To the owner: what was chosen. To others: what lets them use it, without the names of yet others.
+    /// For the owner: as set. For others: the part that lets them use it, without the names of other tenants.
     pub visibility: Visibility,
 }
 
 /// A set-up in a list.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SetupSummary {
-    /// Its name on the server.
+    /// Its id.
     pub id: String,
-    /// The user's title of it.
+    /// The user's title.
     pub name: String,
     /// Vertices of its mesh.
     pub vertices: usize,
@@ -38,50 +40,50 @@ pub struct SetupSummary {
     pub cells: usize,
     /// Design variables.
     pub variables: usize,
-    /// When the caller, or the one who shares it, first uploaded it.
+    /// First upload by the caller, or by the tenant that shares it.
     pub created: SystemTime,
-    /// What it is to the caller.
+    /// The caller's access to it.
     pub access: Access,
 }
 
-/// A session as it was stored last.
+/// The latest stored state of a session.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Session {
-    /// Its name on the server.
+    /// Its id.
     pub id: String,
-    /// Its set-up.
+    /// Id of its set-up.
     pub setup_id: String,
-    /// Grows by one with each update.
+    /// Increases by one with each update.
     pub generation: u64,
-    /// All variables in order, and the control points that were given. `None` in lists.
+    /// All variables in order, and the given control points. `None` in lists.
     pub design: Option<Design>,
-    /// For people.
+    /// The user's label.
     pub label: String,
-    /// When it was opened.
+    /// Time of its opening.
     pub created: SystemTime,
-    /// When it was stored last.
+    /// Time of its last update.
     pub updated: SystemTime,
 }
 
-/// What to change of a session.
+/// Changes to a session.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SessionUpdate {
-    /// The generation that it is based on.
+    /// The generation on which the update is based.
     pub expected_generation: u64,
-    /// As it was if `None`.
+    /// Unchanged if `None`.
     pub design: Option<Design>,
-    /// As it was if `None`.
+    /// Unchanged if `None`.
     pub label: Option<String>,
-    /// Chosen by the client so that a retry is recognised; may be empty.
+    /// Chosen by the client to identify retries; may be empty.
     pub request_id: String,
 }
 
-/// Which part of a list.
+/// The part of a list to return.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Page {
-    /// Most entries; 0 and more than the service's limit are its limit.
+    /// Most entries; 0, and anything beyond the service's limit, stands for the limit.
     pub size: usize,
-    /// As the page before gave it; empty for the first one.
+    /// `next` of the page before; empty for the first page.
     pub token: String,
 }
 
@@ -90,6 +92,6 @@ pub struct Page {
 pub struct Listed<T> {
     /// In the order of their ids.
     pub entries: Vec<T>,
-    /// For the next page, if there is more.
+    /// Token of the next page, if there is one.
     pub next: Option<String>,
 }

@@ -1,31 +1,34 @@
-//! Checks of derivatives: whether what the engine gives for a set-up is right, on request.
+//! Checks of a set-up's derivatives against an independent evaluation, on request.
 
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 
-use moldline_check::{Designs, Observer, Request};
+use moldline_check::{Designs, Observer, Report, Request};
+use moldline_host::{
+    Cancellation, Completed, Joined, Principal, Product, Progress, Reports, Role, ServiceError, Task, Ticket,
+    Timing,
+};
 use moldline_parameterisation::Parameterisation;
 
 use crate::{
-    cancel::Cancellation,
-    error::ServiceError,
     limits::Limits,
     linearisation::{Design, Resolved, Values},
-    progress::Progress,
+    service::{Service, too_many},
+    setups::SetupView,
 };
 
-/// Where derivatives are to be checked.
+/// The designs at which derivatives are checked.
 #[derive(Clone, Debug, PartialEq)]
 pub enum CheckAt {
-    /// At the baseline and at random designs far from it, so many in all.
+    /// The baseline and random designs far from it: their total number.
     Number(usize),
-    /// At this design.
+    /// One design.
     Design(Values),
 }
 
-/// What is to be checked.
+/// A request for a check.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CheckRequest {
-    /// Where.
+    /// The designs.
     pub at: CheckAt,
     /// Seed of the random designs and vectors.
     pub seed: u64,
@@ -35,12 +38,8 @@ pub struct CheckRequest {
 
 impl CheckRequest {
     /// # Errors
-    /// `InvalidArgument` naming what does not fit.
-    pub(crate) fn resolve(
-        self,
-        parameterisation: &Parameterisation,
-        limits: &Limits,
-    ) -> Result<Request, ServiceError> {
+    /// `InvalidArgument` naming the invalid field.
+    fn resolve(self, parameterisation: &Parameterisation, limits: &Limits) -> Result<Request, ServiceError> {
         let Self { at, seed, variables } = self;
         let most = limits.check_designs.max(1);
         let designs = match at {
@@ -62,23 +61,66 @@ impl CheckRequest {
     }
 }
 
-/// Passes on what a check tells, thinned out and in order.
-pub(crate) struct Watcher<F> {
+impl Service {
+    /// Checks the derivatives of a set-up. Concurrent requests for the same check share it. Dropping the future abandons it;
+    /// the check ends when nobody waits for it.
+    ///
+    /// # Errors
+    /// `NotFound`, `InvalidArgument` naming the invalid field, `FailedPrecondition` if the engine cannot reach a design,
+    /// `ResourceExhausted` if other checks are in progress or the queue is full.
+    pub async fn check(
+        &self,
+        caller: &Principal,
+        setup_id: &str,
+        request: CheckRequest,
+        tell: impl FnMut(Progress),
+    ) -> Result<Arc<Product<Report>>, ServiceError> {
+        caller.need(Role::User)?;
+        let SetupView { setup, .. } = self.get_setup(caller, setup_id).await?;
+        let request = request.resolve(setup.engine.parameterisation(), &self.limits)?;
+        let key = (setup.id.clone(), format!("{request:?}"));
+        let id = Some(setup.id.to_string());
+        let task = Task { kind: "check", tenant: caller.tenant.clone(), setup: id, session: None };
+        let work = |reports: Reports<Product<Report>>| {
+            let place = Arc::clone(&self.check_permits).try_acquire_owned();
+            let (pool, limit) = (Arc::clone(&self.pool), self.limits.checks);
+            async move {
+                let _place = place.map_err(|_| too_many("checks", limit))?;
+                let work = move |ticket: &Ticket| {
+                    let reporter = CheckReporter::new(ticket.cancellation().clone(), |progress| {
+                        ticket.progress(&progress);
+                        reports.tell(progress);
+                    });
+                    Ok(Report::new(&setup.engine, &request, &reporter)?)
+                };
+                let Completed { value, queued, ran } = pool.run(task, work).await?;
+                Ok(Product { value, timing: Timing { queued, engine: ran } })
+            }
+        };
+        match self.checks.join(key, || None, work, |_| {}) {
+            Joined::Found(report) => Ok(report),
+            Joined::Following(follower) | Joined::Started(follower) => follower.wait(tell).await,
+        }
+    }
+}
+
+/// Passes on the progress of a check, thinned out and in order.
+struct CheckReporter<F> {
     cancellation: Cancellation,
-    /// What was told last.
+    /// Fraction of the last report.
     last: Mutex<f64>,
     tell: F,
 }
 
-impl<F: Fn(Progress) + Sync> Watcher<F> {
+impl<F: Fn(Progress) + Sync> CheckReporter<F> {
     pub fn new(cancellation: Cancellation, tell: F) -> Self {
         Self { cancellation, last: Mutex::new(f64::NEG_INFINITY), tell }
     }
 }
 
-impl<F: Fn(Progress) + Sync> Observer for Watcher<F> {
+impl<F: Fn(Progress) + Sync> Observer for CheckReporter<F> {
     fn progress(&self, fraction: f64, at: &str) {
-        /// Smaller steps are not told.
+        /// Smaller steps are not reported.
         const STEP: f64 = 0.005;
         let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
         if fraction >= *last + STEP {

@@ -1,63 +1,60 @@
-//! The service without a transport: set-ups, sessions, one bounded compute pool, and one kind of error.
+//! The mesh service without a transport: set-ups, sessions, deformations and products with their derivatives.
 //!
 //! ```text
 //! upload -> read -> (hash) -> build once -> set-up -> session -> deform -> linearisation -> products
 //!           pool               pool                              pool                       pool
 //! ```
 //!
-//! - A set-up is immutable and named by the hash of its content. Who uploads the same content gets the same set-up,
-//!   built once however many ask at the same time ([`Service::create_setup`]).
+//! - A set-up is immutable and named by the hash of its content. Uploading the same content again gives the same set-up,
+//!   built once for all concurrent uploads ([`Service::create_setup`]).
 //! - Deform and the products with its derivative are pure functions of (set-up, design, vectors): sessions cannot
 //!   disturb each other, and a retry is safe.
-//! - Deform always linearises, since that costs a fraction of it, and the session keeps the linearisations used last:
-//!   products then deform nothing again. Asked for by design, one that is not kept any more is made again, bit by bit.
-//! - The engine runs on the pool only, never on the async runtime's threads; a panic in it is an error of one request.
-//! - Whoever drops a future has lost interest: queued work is forgotten, running work is told through
-//!   [`moldline_deform::Monitor::cancelled`].
+//! - Deform always linearises, since that costs a fraction of the deformation. The linearisations used last stay in memory, so
+//!   that products do not deform again; one that was evicted is recomputed from the design, to the same bits.
+//! - What is acknowledged is in the store. Memory holds set-ups and linearisations within their budgets, each loaded or made
+//!   once for all concurrent requests. Any service on the same store can continue any session.
+//! - A caller is a [`Principal`]. Objects that it may not see look to it as if they did not exist.
 //!
-//! - What is acknowledged is in the store. Memory holds what is used: set-ups and linearisations within their budgets, each
-//!   loaded or made once however many ask. Any service on the same store can go on with any session.
-//! - Who calls is a [`Principal`]. Of what it may not see it learns nothing, not even that it exists.
+//! Pool, caches, single flight, errors and callers are those of `moldline-host`.
 //!
 //! Absent on purpose: wire formats, ports, and who holds which credential.
 
 mod access;
-mod cache;
-mod cancel;
 mod checks;
-mod error;
-mod flight;
+mod derivatives;
 mod limits;
 mod linearisation;
-mod pool;
-mod principal;
 mod progress;
 mod read;
-mod refusal;
 mod service;
+mod session_index;
 mod sessions;
+mod setup_cache;
+mod setup_id;
 mod setups;
 mod status;
 mod upload;
 
 pub use moldline_check::Report as CheckReport;
+pub use moldline_host::{
+    CacheStatus, Cancellation, Code, Completed, ComputePool, Flights, Follower, Joined, PoolLimits,
+    Principal, Product, Progress, Reporter, Reports, Role, ServiceError, Task, Tenant, TenantError, Ticket,
+    Timing, Violation, Work,
+};
 pub use moldline_setup::ArchiveKind;
 pub use moldline_store::{Store, StoreError};
 
 pub use access::{Access, Listed, Page, Session, SessionUpdate, SetupSummary, Visibility};
-pub use cancel::Cancellation;
 pub use checks::{CheckAt, CheckRequest};
-pub use error::{Code, ServiceError, Violation};
-pub use flight::{Flights, Follower, Joined, Reports};
+pub use derivatives::At;
 pub use limits::Limits;
 pub use linearisation::{
     ControlPointVectors, Design, Directions, Gradients, Linearised, Seeds, Values, Wanted,
 };
-pub use pool::{Completed, ComputePool, PoolLimits, Task, Ticket};
-pub use principal::{Principal, Role, Tenant, TenantError};
-pub use progress::{Progress, Reporter};
-pub use refusal::mesh_field;
-pub use service::{At, Created, Product, Receiving, Service, SetupView, Timing};
-pub use setups::{SetupId, StoredSetup};
-pub use status::{CacheStatus, Status, Work};
+pub use progress::reporter;
+pub use service::Service;
+pub use setup_cache::StoredSetup;
+pub use setup_id::SetupId;
+pub use setups::{Created, Receiving, SetupView};
+pub use status::Status;
 pub use upload::{FileEntry, Upload, UploadHeader, UploadSource, Uploaded};

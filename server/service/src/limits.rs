@@ -1,4 +1,4 @@
-//! What one caller may ask for, and what the service holds. All are checked before anything is allocated.
+//! Limits on requests and on the memory of the service. All are checked before anything is allocated.
 
 /// Upper limits; the defaults suit a workstation.
 #[derive(Clone, Debug, PartialEq)]
@@ -25,9 +25,9 @@ pub struct Limits {
     pub setups: usize,
     /// Open sessions of one tenant.
     pub sessions: usize,
-    /// Bytes in the store of one tenant's set-ups.
+    /// Bytes of one tenant's set-ups in the store.
     pub stored_bytes: u64,
-    /// Requests of one tenant that compute or wait for it.
+    /// Running and waiting tasks of one tenant.
     pub load: usize,
     /// Bytes of a label.
     pub label_bytes: usize,
@@ -37,7 +37,7 @@ pub struct Limits {
     pub linearisation_bytes: usize,
     /// Directions or seeds of one request.
     pub vectors: usize,
-    /// Bytes of the vertices' part of one request's directions or seeds, or of what the engine makes at once.
+    /// Bytes of the vertices in one request's directions or seeds, or in one block of results.
     pub vector_bytes: usize,
     /// Checks of derivatives at a time; each is minutes of work.
     pub checks: usize,

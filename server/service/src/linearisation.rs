@@ -1,27 +1,23 @@
-//! A design as it was asked for, its linearisation, and products with it.
+//! A requested design, its linearisation, and products with it.
 //!
-//! The outputs are functions of the control points, and these of the design; components whose control points were given
-//! do not depend on the design. Both parts are linearised at once, so that one linearisation serves both kinds of inputs.
+//! The outputs are functions of the control points, and these of the design, except for components with given control
+//! points. Both parts are linearised at once, so that one linearisation serves both kinds of inputs.
 
 use std::{collections::BTreeMap, sync::Arc};
 
 use moldline_deform::{Deformation, Linearisation, Monitor, Setup, Stage, Tangent};
+use moldline_host::{ServiceError, Timing, shorten};
 use moldline_parameterisation::{ControlPoints, Override, Parameterisation};
 use moldline_store::Numbers;
 
-use crate::{
-    error::{ServiceError, shorten},
-    limits::Limits,
-    service::Timing,
-    setups::SetupId,
-};
+use crate::{limits::Limits, setup_id::SetupId};
 
-/// What to deform to.
+/// A design: the input of a deformation.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Design {
     /// Values of the design variables.
     pub values: Values,
-    /// Control points from outside, in place of what the values make of a component: its name and its points, metres.
+    /// Given control points of components, in place of those of the design variables: name and points, m.
     pub control_points: Vec<(String, Vec<[f64; 3]>)>,
 }
 
@@ -49,16 +45,16 @@ pub struct ControlPointVectors {
     pub vectors: Vec<Vec<[f64; 3]>>,
 }
 
-/// Directions of the inputs; what is absent is zero. Parts that are given have as many directions.
+/// Directions of the inputs; absent parts are zero, and all given parts have the same number of directions.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Directions {
     /// Of the design variables, each entry in its variable's unit.
     pub design: Option<Vec<Vec<f64>>>,
-    /// Of the control points of some components, on top of what the design does to them.
+    /// Of the control points of some components, in addition to the changes that the design causes.
     pub control_points: Vec<ControlPointVectors>,
 }
 
-/// Weights of the outputs; what is absent is zero. Parts that are given have as many.
+/// Weights of the outputs; absent parts are zero, and all given parts have the same number of seeds.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Seeds {
     /// Of the vertices, per metre.
@@ -67,7 +63,7 @@ pub struct Seeds {
     pub functions: Option<Vec<Vec<f64>>>,
 }
 
-/// Inputs by which gradients are wanted.
+/// Inputs with respect to which gradients are requested.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Wanted {
     /// The design variables.
@@ -79,13 +75,13 @@ pub struct Wanted {
 /// Gradients of some seeds.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Gradients {
-    /// By the design variables, per unit of each, if wanted.
+    /// With respect to the design variables, per unit of each, if requested.
     pub design: Option<Vec<Vec<f64>>>,
-    /// By control points, in the order in which they were wanted.
+    /// With respect to control points, in the requested order.
     pub control_points: Vec<ControlPointVectors>,
 }
 
-/// A design that has been checked, before it takes a place in the queue.
+/// A validated design, before it enters the queue.
 pub(crate) struct Resolved {
     vector: Vec<f64>,
     overrides: Vec<Override>,
@@ -106,12 +102,12 @@ impl Resolved {
         Ok(Self { vector, overrides: overrides.collect::<Result<_, ServiceError>>()? })
     }
 
-    /// The values alone.
+    /// Values of all variables.
     pub fn into_vector(self) -> Vec<f64> {
         self.vector
     }
 
-    /// As it is stored: the variables, and the coordinates of control points that were given.
+    /// Its stored form: the variables, and the coordinates of given control points.
     pub fn numbers(&self, parameterisation: &Parameterisation) -> (Numbers, Vec<(String, Numbers)>) {
         let given = self.overrides.iter().map(|Override { component, control_points }| {
             let name = parameterisation.components()[*component].clone();
@@ -120,7 +116,7 @@ impl Resolved {
         (Numbers(self.vector.clone()), given.collect())
     }
 
-    /// A name for (set-up, design): the same for the same, on any server.
+    /// The id of (set-up, design), the same on every server.
     pub fn id(&self, setup: &SetupId) -> String {
         let mut hasher = blake3::Hasher::new();
         hasher.update(setup.as_str().as_bytes());
@@ -136,7 +132,7 @@ impl Resolved {
         hasher.finalize().to_hex().to_string()
     }
 
-    /// Deforms, and keeps what products need.
+    /// Deforms and linearises.
     pub fn linearise(
         self,
         id: String,
@@ -157,15 +153,15 @@ pub struct Linearised {
     id: String,
     setup_id: SetupId,
     design: Vec<f64>,
-    /// Components whose control points were given.
+    /// Components with given control points.
     given: Vec<usize>,
     engine: Linearisation,
-    /// Of the deformation.
+    /// Time of the deformation.
     timing: Timing,
 }
 
 impl Linearised {
-    /// Names set-up and design in requests for derivatives.
+    /// Id of set-up and design in requests for derivatives.
     pub fn id(&self) -> &str {
         &self.id
     }
@@ -180,27 +176,27 @@ impl Linearised {
         self.engine.deformation()
     }
 
-    /// How long it took to make.
+    /// Time that it took to compute.
     pub fn timing(&self) -> Timing {
         self.timing
     }
 
-    /// The same, with how long it took.
+    /// Sets the time that it took.
     pub(crate) fn taking(self, timing: Timing) -> Self {
         Self { timing, ..self }
     }
 
-    /// How many design variables there are: columns of the Jacobian.
+    /// Number of design variables: columns of the Jacobian.
     pub fn columns(&self) -> usize {
         self.design.len()
     }
 
-    /// Bytes that it holds besides the set-up.
+    /// Its size without the set-up, bytes.
     pub fn bytes(&self) -> usize {
         self.engine.bytes() + size_of_val(&self.design[..])
     }
 
-    /// Bytes of one vector for all vertices and control points.
+    /// Size of one vector for all vertices and control points, bytes.
     pub(crate) fn vector_bytes(&self) -> usize {
         vector_bytes(self.engine.setup())
     }
@@ -239,7 +235,7 @@ impl Linearised {
         Ok(self.engine.jvp_control_points(&all)?)
     }
 
-    /// Gradients by what is wanted.
+    /// Gradients with respect to the requested inputs.
     pub(crate) fn vjp(&self, seeds: &[Tangent], wanted: &CheckedWanted) -> Result<Gradients, ServiceError> {
         let parameterisation = self.engine.setup().parameterisation();
         let mut all: Vec<ControlPoints> =
@@ -258,7 +254,7 @@ impl Linearised {
         Ok(Gradients { design, control_points })
     }
 
-    /// Cuts the way from the design to components whose control points were given.
+    /// Zeroes components with given control points, which do not depend on the design.
     fn forget_given(&self, all: &mut [ControlPoints]) {
         for points in all {
             self.given.iter().for_each(|&component| points[component].fill([0.0; 3]));
@@ -266,7 +262,7 @@ impl Linearised {
     }
 }
 
-/// Directions that fit the set-up.
+/// Directions that have been checked against the set-up.
 pub(crate) struct CheckedDirections {
     count: usize,
     design: Option<Vec<Vec<f64>>>,
@@ -276,7 +272,7 @@ pub(crate) struct CheckedDirections {
 
 impl Directions {
     /// # Errors
-    /// `InvalidArgument` naming what does not fit.
+    /// `InvalidArgument` naming the invalid field.
     pub(crate) fn check(self, setup: &Setup, limits: &Limits) -> Result<CheckedDirections, ServiceError> {
         let parameterisation = setup.parameterisation();
         let mut count = Count::new(setup, limits);
@@ -305,7 +301,7 @@ impl Directions {
 
 impl Seeds {
     /// # Errors
-    /// `InvalidArgument` naming what does not fit.
+    /// `InvalidArgument` naming the invalid field.
     pub(crate) fn check(self, setup: &Setup, limits: &Limits) -> Result<Vec<Tangent>, ServiceError> {
         let (vertices, functions) = (setup.mesh().vertices.len(), setup.functions().len());
         let mut count = Count::new(setup, limits);
@@ -325,7 +321,7 @@ impl Seeds {
     }
 }
 
-/// What is wanted, by index.
+/// Requested gradients, by index.
 pub(crate) struct CheckedWanted {
     design: bool,
     control_points: Vec<usize>,
@@ -333,7 +329,7 @@ pub(crate) struct CheckedWanted {
 
 impl Wanted {
     /// # Errors
-    /// `InvalidArgument` if nothing is wanted, or of a component that there is not.
+    /// `InvalidArgument` if nothing is requested, or for an unknown component.
     pub(crate) fn check(self, parameterisation: &Parameterisation) -> Result<CheckedWanted, ServiceError> {
         let mut control_points = Vec::with_capacity(self.control_points.len());
         for name in &self.control_points {
@@ -354,12 +350,12 @@ impl Wanted {
     }
 }
 
-/// How many vectors the parts of a request have.
+/// The number of vectors in each part of a request.
 struct Count<'a> {
     limits: &'a Limits,
-    /// Of one vector.
+    /// Size of one vector.
     bytes: usize,
-    /// Of the parts so far, and the first one's name.
+    /// Number of vectors in the parts so far, and the name of the first part.
     known: Option<(String, usize)>,
 }
 

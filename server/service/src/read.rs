@@ -1,39 +1,39 @@
-//! From uploaded or stored bytes to the engine's input and the name of its content.
+//! Conversion of uploaded or stored bytes to the engine's input and the hash of the content.
 
 use bytes::Bytes;
 use moldline_deform::SetupInput;
+use moldline_host::ServiceError;
 use moldline_setup::{Files, SetupContent, read_setup, unpack};
 use moldline_store::Manifest;
 
 use crate::{
-    error::ServiceError,
     limits::Limits,
-    setups::SetupId,
+    setup_id::SetupId,
     upload::{UploadSource, Uploaded},
 };
 
 /// A set-up that has been read but not built.
 pub struct Read {
-    /// The user's title of it.
+    /// The user's title.
     pub name: String,
-    /// For the engine.
+    /// The engine's input.
     pub input: SetupInput,
 }
 
-/// The same with what it was read from.
+/// A set-up with the files that it was read from.
 pub struct Content {
-    /// Hash of all files that it consists of.
+    /// Hash of the files.
     pub id: SetupId,
-    /// For the engine.
+    /// The engine's input.
     pub read: Read,
-    /// What it consists of: its set-up file first, then what that refers to by path.
+    /// The set-up file, followed by the files to which it refers by path.
     pub files: Vec<(String, Vec<u8>)>,
 }
 
 /// Reads an upload.
 ///
 /// # Errors
-/// `InvalidArgument` naming the field of the set-up that is wrong.
+/// `InvalidArgument` naming the invalid field of the set-up.
 pub fn uploaded(uploaded: Uploaded, limits: &Limits) -> Result<Content, ServiceError> {
     let Uploaded { header, mut contents } = uploaded;
     let files: Files = match header.source {
@@ -46,10 +46,10 @@ pub fn uploaded(uploaded: Uploaded, limits: &Limits) -> Result<Content, ServiceE
     read(files, header.setup_file.as_deref(), limits)
 }
 
-/// Reads what the store keeps of a set-up: its files, verified against its name.
+/// Reads the stored files of a set-up, which have been verified against its id.
 ///
 /// # Errors
-/// `InvalidArgument` if this version reads less than the one that stored it.
+/// `InvalidArgument` if this version rejects what an earlier one accepted.
 pub fn stored(files: Vec<(String, Bytes)>, limits: &Limits) -> Result<Read, ServiceError> {
     let setup_file = files.first().map(|(path, _)| path.clone());
     let files = files.into_iter().map(|(path, content)| (path, content.into())).collect();
@@ -59,7 +59,7 @@ pub fn stored(files: Vec<(String, Bytes)>, limits: &Limits) -> Result<Read, Serv
 
 fn read(mut files: Files, setup_file: Option<&str>, limits: &Limits) -> Result<Content, ServiceError> {
     let SetupContent { name, input, files: used } = read_setup(&files, setup_file, &file_limits(limits))?;
-    // One that is referred to twice is one file.
+    // A file to which the set-up refers twice is kept once.
     let used: Vec<(String, Vec<u8>)> =
         used.into_iter().filter_map(|path| files.remove_entry(&path)).collect();
     let manifest = Manifest::of(used.iter().map(|(path, content)| (path.as_str(), content.as_slice())));

@@ -1,240 +1,300 @@
-//! Set-ups by the hash of their content: in memory while they are used, in the store for good.
+//! Methods of set-ups: upload, build, list, share, delete.
 
-use std::{
-    fmt, future,
-    sync::Arc,
-    time::{Duration, Instant},
-};
+use std::{sync::Arc, time::SystemTime};
 
-use moldline_deform::{Derived, Setup};
-use moldline_setup::{BUILD, decode_derived, encode_derived};
-use moldline_store::Store;
+use futures::StreamExt;
+use moldline_host::{Code, Principal, Progress, Role, ServiceError, Task, Tenant};
+use moldline_store::{AccessRecord, Shared, StoreError, unless_damaged};
 
 use crate::{
-    cache::Cache,
-    error::{Code, ServiceError},
-    flight::{Flights, Joined, Reports},
+    access::{Access, Listed, Page, SetupSummary, Visibility},
     limits::Limits,
-    pool::{ComputePool, Task},
-    principal::Tenant,
-    progress::{Progress, Reporter},
-    read::{self, Content, Read},
-    status::CacheStatus,
+    read,
+    service::{AT_ONCE, Service, after, too_many},
+    setup_cache::StoredSetup,
+    setup_id::SetupId,
+    upload::{Upload, UploadHeader, Uploaded},
 };
 
-/// Name of a set-up: the hash of its content in hexadecimal digits.
-#[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub struct SetupId(String);
-
-impl SetupId {
-    /// Of the digits.
-    pub(crate) fn new(digits: String) -> Self {
-        Self(digits)
-    }
-
-    /// Whether a caller's text can be the name of a set-up.
-    pub(crate) fn is_one(text: &str) -> bool {
-        text.len() == 2 * blake3::OUT_LEN
-            && text.bytes().all(|byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f'))
-    }
-
-    /// The digits.
-    pub fn as_str(&self) -> &str {
-        &self.0
-    }
+/// The answer to an upload.
+#[derive(Clone, Debug)]
+pub struct Created {
+    /// The set-up.
+    pub setup: Arc<StoredSetup>,
+    /// The caller's access to it.
+    pub access: Access,
+    /// Whether it is new to the caller.
+    pub built: bool,
 }
 
-impl fmt::Display for SetupId {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.0)
-    }
+/// A set-up, and the caller's access to it.
+#[derive(Clone, Debug)]
+pub struct SetupView {
+    /// The set-up.
+    pub setup: Arc<StoredSetup>,
+    /// The caller's access to it.
+    pub access: Access,
 }
 
-/// A set-up that is built.
+/// An upload in progress; its place is free when this is dropped.
 #[derive(Debug)]
-pub struct StoredSetup {
-    /// Its name.
-    pub id: SetupId,
-    /// The user's title of it.
-    pub name: String,
-    /// What the engine made of it.
-    pub engine: Arc<Setup>,
-    /// Values of the scalar outputs for the reference mesh.
-    pub functions: Vec<f64>,
-    /// How long the engine took.
-    pub build_time: Duration,
+pub struct Receiving<'a> {
+    upload: Upload,
+    limits: &'a Limits,
+    _place: tokio::sync::SemaphorePermit<'a>,
 }
 
-impl StoredSetup {
-    /// What the set-up found, as a JSON document.
-    pub fn report_json(&self) -> String {
-        moldline_setup::report_json(self.engine.report()).to_string()
-    }
-}
-
-/// Set-ups in memory: built or loaded once however many ask, and held within a budget.
-#[derive(Debug)]
-pub struct Setups {
-    store: Store,
-    pool: Arc<ComputePool>,
-    limits: Limits,
-    held: Arc<Cache<String, StoredSetup>>,
-    flights: Flights<String, StoredSetup>,
-}
-
-impl Setups {
-    /// None in memory yet.
-    pub fn new(store: Store, pool: Arc<ComputePool>, limits: &Limits) -> Self {
-        let held = Arc::new(Cache::new(limits.setup_bytes, |setup: &StoredSetup| {
-            // Linearisations hold it too.
-            Arc::strong_count(&setup.engine) > 1
-        }));
-        Self { store, pool, limits: limits.clone(), held, flights: Flights::default() }
-    }
-
-    /// The set-up of what has been read, made now if it is not in memory.
+impl Service {
+    /// Begins to receive a set-up.
     ///
     /// # Errors
-    /// As the engine has them, or if the pool is full.
-    pub async fn of_content(
+    /// `InvalidArgument` for an invalid header, `ResourceExhausted` if too many uploads are in progress,
+    /// `PermissionDenied` to readers.
+    pub fn receive(&self, caller: &Principal, header: UploadHeader) -> Result<Receiving<'_>, ServiceError> {
+        caller.need(Role::User)?;
+        let place = self.uploads.try_acquire().map_err(|_| too_many("uploads", self.limits.uploads))?;
+        let upload = Upload::begin(header, &self.limits)?;
+        Ok(Receiving { upload, limits: &self.limits, _place: place })
+    }
+
+    /// Builds an uploaded set-up, or finds the one with the same content, and stores it. Dropping the future abandons it; the
+    /// build ends when nobody waits for it.
+    ///
+    /// # Errors
+    /// `InvalidArgument` for invalid files, `AlreadyExists` for a request id that was used with other content,
+    /// `ResourceExhausted` beyond a quota, `Unavailable` if it cannot be stored, `PermissionDenied` to readers.
+    pub async fn create_setup(
         &self,
-        tenant: &Tenant,
-        content: Content,
+        caller: &Principal,
+        uploaded: Uploaded,
         mut tell: impl FnMut(Progress),
-    ) -> Result<Arc<StoredSetup>, ServiceError> {
-        self.make_room()?;
+    ) -> Result<Created, ServiceError> {
+        caller.need(Role::User)?;
+        let tenant = &caller.tenant;
+        tell(Progress { stage: "read", fraction: 0.0, message: "reading the files".to_owned() });
+        let request_id = uploaded.header.request_id.clone();
+        let visibility = uploaded.header.visibility.clone();
+        let limits = self.limits.clone();
+        let task = Task { kind: "read", tenant: tenant.clone(), setup: None, session: None };
+        let mut content = self.pool.run(task, move |_| read::uploaded(uploaded, &limits)).await?.value;
         let id = content.id.to_string();
-        let (store, pool, tenant) = (self.store.clone(), Arc::clone(&self.pool), tenant.clone());
-        let Content { id: name, read, .. } = content;
-        let work = |reports: Reports<StoredSetup>| async move {
-            make(&store, &pool, tenant, name, future::ready(Ok(read)), reports).await
-        };
-        match self.flights.join(id.clone(), || self.held.get(&id), work, self.land(&id)) {
-            Joined::Found(setup) => {
-                // The same steps, whoever built it.
-                moldline_deform::Stage::OF_SETUP
-                    .iter()
-                    .for_each(|&stage| tell(Progress::of_stage(stage, 1.0)));
-                Ok(setup)
-            }
-            Joined::Following(follower) | Joined::Started(follower) => follower.land(tell).await,
+        tell(Progress { stage: "read", fraction: 1.0, message: format!("set-up {id}") });
+
+        self.claim(caller, &request_id, &["setup", &id, &format!("{visibility:?}")]).await?;
+        let bytes: u64 = content.files.iter().map(|(_, file)| file.len() as u64).sum();
+        let known = self.store.access_or_damage(tenant.as_str(), &id).await?.map(|known| known.record);
+        if !matches!(known, Some(Ok(record)) if record.owned) {
+            self.check_quota(caller, bytes).await?;
         }
+        let files = std::mem::take(&mut content.files);
+        let setup = self.setups.of_content(tenant, content, tell).await?;
+        self.store.put_setup(&files).await?;
+        let (access, built) = self.own(caller, &setup, bytes, visibility).await?;
+        Ok(Created { setup, access, built })
     }
 
-    /// The set-up of that name, loaded now if it is not in memory; `None` if the store has none.
-    ///
-    /// # Errors
-    /// If the store does not answer, its objects are damaged, or the pool is full.
-    pub async fn named(&self, tenant: &Tenant, id: &str) -> Result<Option<Arc<StoredSetup>>, ServiceError> {
-        if let Some(setup) = self.held.get(&id.to_owned()) {
-            return Ok(Some(setup));
+    /// Rejects `more` bytes beyond the tenant's quota.
+    async fn check_quota(&self, caller: &Principal, more: u64) -> Result<(), ServiceError> {
+        let owned = self.store.owned(caller.tenant.as_str()).await?;
+        let limit = self.limits.setups;
+        if owned.len() >= limit {
+            let message = format!("you have {} set-ups, which is the limit; delete some", owned.len());
+            return Err(ServiceError::new(Code::ResourceExhausted, message));
         }
-        self.make_room()?;
-        let Some(files) = self.store.setup(id).await? else { return Ok(None) };
-        let (store, pool) = (self.store.clone(), Arc::clone(&self.pool));
-        let (tenant, limits) = (tenant.clone(), self.limits.clone());
-        let task = Task { kind: "load", tenant: tenant.clone(), setup: Some(id.to_owned()), session: None };
-        let name = SetupId::new(id.to_owned());
-        let work = |reports: Reports<StoredSetup>| async move {
-            let read = async { Ok(pool.run(task, move |_| read::stored(files, &limits)).await?.value) };
-            make(&store, &pool, tenant, name, read, reports).await
-        };
-        let key = id.to_owned();
-        match self.flights.join(key.clone(), || self.held.get(&key), work, self.land(id)) {
-            Joined::Found(setup) => Ok(Some(setup)),
-            Joined::Following(follower) | Joined::Started(follower) => follower.land(|_| {}).await.map(Some),
+        let (held, limit) =
+            (owned.iter().map(|(_, record)| record.bytes).sum::<u64>(), self.limits.stored_bytes);
+        if held.saturating_add(more) > limit {
+            let message = format!(
+                "your set-ups have {held} bytes, and {more} more exceed the limit of {limit}; delete some"
+            );
+            return Err(ServiceError::new(Code::ResourceExhausted, message));
         }
+        Ok(())
     }
 
-    /// How full the memory for set-ups is.
-    pub fn status(&self) -> CacheStatus {
-        self.held.status()
-    }
-
-    /// Refuses another one while those in use fill the memory.
-    fn make_room(&self) -> Result<(), ServiceError> {
-        if self.held.shrink() {
-            return Ok(());
-        }
-        let CacheStatus { bytes, budget, .. } = self.held.status();
-        let message =
-            format!("set-ups in use have {bytes} bytes, and the limit is {budget}; try again later");
-        Err(ServiceError::new(Code::ResourceExhausted, message).retry_after(Duration::from_secs(1)))
-    }
-
-    fn land(&self, id: &str) -> impl FnOnce(&Arc<StoredSetup>) + Send + 'static {
-        let (held, id) = (Arc::clone(&self.held), id.to_owned());
-        move |setup| held.insert(id, "", Arc::clone(setup), setup.engine.bytes())
-    }
-}
-
-/// Builds a set-up as it is `read`; from what this build of the engine derived of it before, if that is stored, and stores it if not.
-async fn make(
-    store: &Store,
-    pool: &ComputePool,
-    tenant: Tenant,
-    id: SetupId,
-    read: impl Future<Output = Result<Read, ServiceError>>,
-    reports: Reports<StoredSetup>,
-) -> Result<StoredSetup, ServiceError> {
-    let (read, stored) = tokio::join!(read, store.derived(id.as_str(), BUILD));
-    let Read { name, input } = read?;
-    let stored = stored.unwrap_or_else(|error| {
-        tracing::warn!(%error, "building the set-up anew");
-        None
-    });
-    let stored_as = id.clone();
-    let task = Task { kind: "build", tenant, setup: Some(id.to_string()), session: None };
-    let (setup, derived) = pool
-        .run(task, move |ticket| {
-            let start = Instant::now();
-            let reporter = Reporter::new(ticket.cancellation().clone(), |progress| {
-                ticket.progress(&progress);
-                reports.tell(progress);
-            });
-            let known = stored.and_then(|stored| Known::read(&stored));
-            let (engine, build_time, derived) = match known {
-                Some(Known { build_time, derived }) => {
-                    (Setup::restore(input, derived, &reporter)?, build_time, None)
-                }
+    /// Makes the caller an owner of a set-up; whether it was none before.
+    async fn own(
+        &self,
+        caller: &Principal,
+        setup: &StoredSetup,
+        bytes: u64,
+        visibility: Option<Visibility>,
+    ) -> Result<(Access, bool), ServiceError> {
+        let (tenant, id) = (caller.tenant.as_str(), setup.id.as_str());
+        loop {
+            let known = self.store.access_or_damage(tenant, id).await?;
+            let number = known.as_ref().map_or(1, |known| known.number + 1);
+            let known = unless_damaged(known.map(|known| known.record).transpose())?;
+            let (record, new) = match known.filter(|record| record.owned) {
+                Some(record) => match &visibility {
+                    Some(visibility) => (AccessRecord { shared: shared(visibility), ..record }, false),
+                    None => return Ok((owner_access(&record), false)),
+                },
                 None => {
-                    let engine = Setup::build(input, &reporter)?;
-                    let build_time = start.elapsed();
-                    let known = Known { build_time, derived: engine.derived() };
-                    (engine, build_time, Some(known.write()))
+                    let shared = shared(visibility.as_ref().unwrap_or(&Visibility::Private));
+                    (access_record(setup, bytes, shared), true)
                 }
             };
-            let functions = engine.reference_functions();
-            let verb = if derived.is_some() { "built a set-up" } else { "loaded a set-up" };
-            tracing::info!(setup = %id, seconds = start.elapsed().as_secs_f64(), "{verb}");
-            Ok((StoredSetup { id, name, engine: Arc::new(engine), functions, build_time }, derived))
-        })
-        .await?
-        .value;
-    if let Some(derived) = derived
-        && let Err(error) = store.put_derived(stored_as.as_str(), BUILD, derived).await
-    {
-        // Only time is lost: it can be derived again.
-        tracing::warn!(%error, "cannot store what was derived of a set-up");
-    }
-    Ok(setup)
-}
-
-/// What is stored of a build.
-struct Known {
-    build_time: Duration,
-    derived: Derived,
-}
-
-impl Known {
-    fn read(bytes: &[u8]) -> Option<Self> {
-        let (nanoseconds, derived) = bytes.split_first_chunk::<8>()?;
-        let build_time = Duration::from_nanos(u64::from_le_bytes(*nanoseconds));
-        Some(Self { build_time, derived: decode_derived(derived)? })
+            if self.store.put_access(tenant, id, number, &record).await? {
+                return Ok((owner_access(&record), new));
+            }
+        }
     }
 
-    fn write(self) -> Vec<u8> {
-        let nanoseconds = u64::try_from(self.build_time.as_nanos()).unwrap_or(u64::MAX);
-        [&nanoseconds.to_le_bytes()[..], &encode_derived(&self.derived)].concat()
+    /// The set-up of that id.
+    ///
+    /// # Errors
+    /// `NotFound`, `Unavailable` if the store does not answer.
+    pub async fn get_setup(&self, caller: &Principal, id: &str) -> Result<SetupView, ServiceError> {
+        let not_found = || ServiceError::not_found("setup", id);
+        let (_, access) = self.access(&caller.tenant, id).await?.ok_or_else(not_found)?;
+        let setup = self.setups.named(&caller.tenant, id).await?.ok_or_else(not_found)?;
+        Ok(SetupView { setup, access })
+    }
+
+    /// A tenant's access to a set-up; `None` if it may not use it.
+    async fn access(&self, tenant: &Tenant, id: &str) -> Result<Option<(AccessRecord, Access)>, StoreError> {
+        if !SetupId::is_valid(id) {
+            return Ok(None);
+        }
+        let own = self.store.access(tenant.as_str(), id).await?.map(|known| known.record);
+        if let Some(record) = own.filter(|record| record.owned) {
+            let access = owner_access(&record);
+            return Ok(Some((record, access)));
+        }
+        let granted = self.store.granted(tenant.as_str(), id).await?;
+        Ok(granted.map(|record| {
+            let visibility = match record.shared {
+                Shared::Public => Visibility::Public,
+                _ => Visibility::Tenants([tenant.clone()].into()),
+            };
+            (record, Access { owned: false, visibility })
+        }))
+    }
+
+    /// The set-ups that the caller may use.
+    ///
+    /// # Errors
+    /// `Unavailable` if the store does not answer.
+    pub async fn list_setups(
+        &self,
+        caller: &Principal,
+        page: &Page,
+    ) -> Result<Listed<SetupSummary>, ServiceError> {
+        let names = self.store.setups_of(caller.tenant.as_str()).await?;
+        let summaries = after(names, page).map(|id| async move {
+            let found = unless_damaged(self.access(&caller.tenant, &id).await)?;
+            Ok(found.map(|(record, access)| SetupSummary {
+                id,
+                name: record.name,
+                vertices: record.vertices as usize,
+                cells: record.cells as usize,
+                variables: record.variables as usize,
+                created: record.created,
+                access,
+            }))
+        });
+        self.listed(page, summaries.buffered(AT_ONCE), |summary: &SetupSummary| summary.id.clone()).await
+    }
+
+    /// Sets which other tenants may use a set-up that the caller owns.
+    ///
+    /// # Errors
+    /// `NotFound`, `PermissionDenied` to readers, `Unavailable` if it cannot be stored.
+    pub async fn share_setup(
+        &self,
+        caller: &Principal,
+        id: &str,
+        visibility: Visibility,
+    ) -> Result<Access, ServiceError> {
+        caller.need(Role::User)?;
+        self.change_access(caller, id, |record| record.shared = shared(&visibility)).await
+    }
+
+    /// Gives up a set-up that the caller owns. Sessions on it stay open.
+    ///
+    /// # Errors
+    /// `NotFound`, `PermissionDenied` to readers, `Unavailable` if it cannot be stored.
+    pub async fn delete_setup(&self, caller: &Principal, id: &str) -> Result<(), ServiceError> {
+        caller.need(Role::User)?;
+        self.change_access(caller, id, |record| record.owned = false).await.map(drop)
+    }
+
+    async fn change_access(
+        &self,
+        caller: &Principal,
+        id: &str,
+        change: impl Fn(&mut AccessRecord),
+    ) -> Result<Access, ServiceError> {
+        let tenant = caller.tenant.as_str();
+        let not_found = || ServiceError::not_found("setup", id);
+        if !SetupId::is_valid(id) {
+            return Err(not_found());
+        }
+        loop {
+            let known = self.store.access(tenant, id).await?.filter(|known| known.record.owned);
+            let mut known = known.ok_or_else(not_found)?;
+            change(&mut known.record);
+            if self.store.put_access(tenant, id, known.number + 1, &known.record).await? {
+                return Ok(owner_access(&known.record));
+            }
+        }
+    }
+}
+
+impl Receiving<'_> {
+    /// Appends bytes to a file.
+    ///
+    /// # Errors
+    /// `InvalidArgument` if they do not fit the header.
+    pub fn append(&mut self, file: usize, data: &[u8]) -> Result<(), ServiceError> {
+        self.upload.append(file, data, self.limits)
+    }
+
+    /// Progress of the upload.
+    pub fn progress(&self) -> Progress {
+        let message = "receiving the files".to_owned();
+        Progress { stage: "receive", fraction: self.upload.fraction(), message }
+    }
+
+    /// Ends the upload.
+    ///
+    /// # Errors
+    /// `InvalidArgument` naming the first incomplete file.
+    pub fn finish(self) -> Result<Uploaded, ServiceError> {
+        self.upload.finish()
+    }
+}
+
+fn owner_access(record: &AccessRecord) -> Access {
+    let visibility = match &record.shared {
+        Shared::Private => Visibility::Private,
+        Shared::Public => Visibility::Public,
+        Shared::Tenants(tenants) => {
+            Visibility::Tenants(tenants.iter().filter_map(|tenant| Tenant::new(tenant).ok()).collect())
+        }
+    };
+    Access { owned: true, visibility }
+}
+
+fn shared(visibility: &Visibility) -> Shared {
+    match visibility {
+        Visibility::Private => Shared::Private,
+        Visibility::Public => Shared::Public,
+        Visibility::Tenants(tenants) => Shared::Tenants(tenants.iter().map(Tenant::to_string).collect()),
+    }
+}
+
+fn access_record(setup: &StoredSetup, bytes: u64, shared: Shared) -> AccessRecord {
+    let mesh = setup.engine.mesh();
+    AccessRecord {
+        owned: true,
+        shared,
+        name: setup.name.clone(),
+        vertices: mesh.vertices.len() as u64,
+        cells: mesh.cells.len() as u64,
+        variables: setup.engine.parameterisation().variables().len() as u64,
+        bytes,
+        created: SystemTime::now(),
     }
 }

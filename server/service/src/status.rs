@@ -1,25 +1,27 @@
-//! What the service does and holds.
+//! Status of the service.
 
 use std::time::Duration;
 
-use crate::principal::Tenant;
+use moldline_host::{CacheStatus, Principal, Role, ServiceError, Work};
 
-/// What the service does and holds: of all tenants to an administrator, of the caller's tenant to others.
+use crate::service::Service;
+
+/// Load and contents of the service: of all tenants for administrators, of the caller's tenant for others.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Status {
-    /// Of the program.
+    /// Version of the program.
     pub version: &'static str,
-    /// Since the service started.
+    /// Time since the start.
     pub uptime: Duration,
-    /// Whether the figures are those of all tenants.
+    /// Whether the figures are of all tenants.
     pub all_tenants: bool,
-    /// Requests that compute.
+    /// Running tasks.
     pub running: usize,
-    /// Requests that wait for it.
+    /// Waiting tasks.
     pub queued: usize,
-    /// How many may compute.
+    /// Most running tasks.
     pub running_limit: usize,
-    /// How many may wait.
+    /// Most waiting tasks.
     pub queued_limit: usize,
     /// Open sessions.
     pub sessions: usize,
@@ -27,50 +29,66 @@ pub struct Status {
     pub setups_resident: usize,
     /// Set-ups in the store.
     pub setups_stored: usize,
-    /// Bytes in the store.
+    /// Bytes of the set-ups in the store.
     pub stored_bytes: u64,
-    /// Set-ups in memory.
+    /// The cache of set-ups.
     pub setup_cache: CacheStatus,
-    /// Linearisations in memory.
+    /// The cache of linearisations.
     pub linearisation_cache: CacheStatus,
-    /// What computes or waits for it, longest first.
+    /// Running and waiting tasks, oldest first.
     pub work: Vec<Work>,
 }
 
-/// How full a cache is, and how well it serves.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct CacheStatus {
-    /// Things held.
-    pub entries: usize,
-    /// Bytes held.
-    pub bytes: usize,
-    /// Bytes that may be held.
-    pub budget: usize,
-    /// Requests that found what they looked for. Like the following, since the start and 0 to others than administrators.
-    pub hits: u64,
-    /// Requests that did not.
-    pub misses: u64,
-    /// Things dropped to make room.
-    pub evictions: u64,
-}
-
-/// A piece of work that computes or waits for it.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Work {
-    /// Such as `build`, `deform`, `jvp`.
-    pub kind: &'static str,
-    /// Whose it is.
-    pub tenant: Tenant,
-    /// Its set-up, where that is known.
-    pub setup: Option<String>,
-    /// Its session, if it belongs to one.
-    pub session: Option<String>,
-    /// Since it came.
-    pub age: Duration,
-    /// Since it computes; `None` while it waits.
-    pub running: Option<Duration>,
-    /// The stage that it has come to, where that is known.
-    pub stage: Option<&'static str>,
-    /// Share of the stage that is done.
-    pub fraction: f64,
+impl Service {
+    /// The current status.
+    ///
+    /// # Errors
+    /// `Unavailable` if the store does not answer.
+    pub async fn status(&self, caller: &Principal) -> Result<Status, ServiceError> {
+        let all_tenants = caller.role >= Role::Admin;
+        let own = (!all_tenants).then_some(&caller.tenant);
+        let work = self.pool.work(own);
+        let running = work.iter().filter(|work| work.running.is_some()).count();
+        let (setups_stored, stored_bytes, sessions) = match own {
+            Some(tenant) => {
+                let owned = self.store.owned(tenant.as_str()).await?;
+                let bytes = owned.iter().map(|(_, record)| record.bytes).sum();
+                (owned.len(), bytes, self.store.sessions(tenant.as_str()).await?.len())
+            }
+            None => {
+                let (setups, bytes) = self.store.size().await?;
+                let mut sessions = 0;
+                for tenant in self.store.tenants().await? {
+                    sessions += self.store.sessions(&tenant).await?.len();
+                }
+                (setups, bytes, sessions)
+            }
+        };
+        let mut setup_cache = self.setups.status();
+        let mut linearisation_cache = self.linearisations.status();
+        if let Some(tenant) = own {
+            // Nothing about other tenants: neither what they hold nor how often they ask.
+            let (entries, bytes) = self.linearisations.of_group(tenant.as_str());
+            linearisation_cache =
+                CacheStatus { entries, bytes, budget: linearisation_cache.budget, ..CacheStatus::default() };
+            setup_cache = CacheStatus { budget: setup_cache.budget, ..CacheStatus::default() };
+        }
+        let limits = self.pool.limits();
+        Ok(Status {
+            version: env!("CARGO_PKG_VERSION"),
+            uptime: self.started.elapsed(),
+            all_tenants,
+            running,
+            queued: work.len() - running,
+            running_limit: limits.running,
+            queued_limit: limits.queued,
+            sessions,
+            setups_resident: setup_cache.entries,
+            setups_stored,
+            stored_bytes,
+            setup_cache,
+            linearisation_cache,
+            work,
+        })
+    }
 }

@@ -1,29 +1,26 @@
-//! Receives a set-up's files piece by piece. Every count is checked before anything is kept.
+//! Uploads of a set-up's files in chunks. Every count is checked before memory is allocated.
 
 use std::collections::HashSet;
 
+use moldline_host::{ServiceError, shorten};
 use moldline_setup::ArchiveKind;
 
-use crate::{
-    access::Visibility,
-    error::{ServiceError, shorten},
-    limits::Limits,
-};
+use crate::{access::Visibility, limits::Limits};
 
-/// What an upload announces before its bytes.
+/// Header of an upload: its description, sent before its bytes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct UploadHeader {
-    /// Chosen by the client so that a retry is recognised; may be empty.
+    /// Chosen by the client to identify retries; may be empty.
     pub request_id: String,
     /// The file that describes the set-up; found by its usual names if `None`.
     pub setup_file: Option<String>,
-    /// Who else may use it; `None`: nobody if it is new to the caller, as it was if it is not.
+    /// Who else may use it. `None`: unchanged, or nobody if the set-up is new to the caller.
     pub visibility: Option<Visibility>,
-    /// What follows.
+    /// The files to follow.
     pub source: UploadSource,
 }
 
-/// What an upload consists of.
+/// Contents of an upload.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum UploadSource {
     /// The files of a folder.
@@ -37,7 +34,7 @@ pub enum UploadSource {
     },
 }
 
-/// A file to come.
+/// A file of an upload.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FileEntry {
     /// Relative to the folder, with `/` between parts.
@@ -46,32 +43,32 @@ pub struct FileEntry {
     pub size: u64,
 }
 
-/// An upload under way.
+/// An upload in progress.
 #[derive(Debug)]
 pub struct Upload {
     header: UploadHeader,
     /// Announced bytes of each file; one entry for an archive.
     sizes: Vec<u64>,
-    /// What has come of each file so far.
+    /// Received bytes of each file.
     contents: Vec<Vec<u8>>,
     received: u64,
 }
 
-/// An upload that is complete.
+/// A complete upload.
 #[derive(Debug)]
 pub struct Uploaded {
-    /// As announced.
+    /// Its header.
     pub header: UploadHeader,
     /// The bytes of each file in the header's order; one entry for an archive.
     pub contents: Vec<Vec<u8>>,
 }
 
 impl Upload {
-    /// Checks the announcement.
+    /// Starts an upload.
     ///
     /// # Errors
-    /// `InvalidArgument` naming the entry of the header: no files, too many, too large, paths that are repeated, absolute
-    /// or lead out of the folder.
+    /// `InvalidArgument` naming the entry of the header: no files, too many, too large; paths that are repeated, absolute or
+    /// outside the folder.
     pub fn begin(header: UploadHeader, limits: &Limits) -> Result<Self, ServiceError> {
         if header.request_id.len() > limits.request_id_bytes {
             return Err(ServiceError::invalid(
@@ -100,15 +97,15 @@ impl Upload {
                 format!("announces {total} bytes, more than the limit of {}", limits.upload_bytes),
             ));
         }
-        // Grown as bytes come: an announcement alone takes no memory.
+        // Grows with the bytes received: a header alone allocates no memory.
         let contents = vec![Vec::new(); sizes.len()];
         Ok(Self { header, sizes, contents, received: 0 })
     }
 
-    /// Takes the next bytes of a file.
+    /// Appends bytes to a file.
     ///
     /// # Errors
-    /// `InvalidArgument` if the chunk is too large, of no announced file, or exceeds its file.
+    /// `InvalidArgument` if the chunk is too large, belongs to no file of the header, or exceeds its file.
     pub fn append(&mut self, file: usize, data: &[u8], limits: &Limits) -> Result<(), ServiceError> {
         let files = self.sizes.len();
         let (Some(&size), Some(content)) = (self.sizes.get(file), self.contents.get_mut(file)) else {
@@ -131,7 +128,7 @@ impl Upload {
         Ok(())
     }
 
-    /// Share of the announced bytes that have come, 0 to 1.
+    /// Share of the bytes that have been received, 0 to 1.
     pub fn fraction(&self) -> f64 {
         self.received as f64 / self.sizes.iter().sum::<u64>() as f64
     }
@@ -139,7 +136,7 @@ impl Upload {
     /// Ends the upload.
     ///
     /// # Errors
-    /// `InvalidArgument` naming the first file that is not complete.
+    /// `InvalidArgument` naming the first incomplete file.
     pub fn finish(self) -> Result<Uploaded, ServiceError> {
         for (file, (content, size)) in self.contents.iter().zip(&self.sizes).enumerate() {
             if content.len() as u64 != *size {

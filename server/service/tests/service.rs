@@ -1,4 +1,4 @@
-//! The service on the real engine, without a transport.
+//! The mesh service on the real engine, without a transport.
 #![allow(clippy::unwrap_used, reason = "helpers of tests are tests")]
 
 mod ball;
@@ -7,7 +7,7 @@ use std::{
     fs,
     path::{Path, PathBuf},
     sync::{Arc, Mutex},
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 use moldline_deform::Setup;
@@ -58,8 +58,20 @@ fn uploaded(request_id: &str, file: &str) -> Uploaded {
     upload.finish().unwrap()
 }
 
+/// Polls `attempt` until it returns a value, for a minute at most; `what` is the value waited for.
+async fn eventually<T>(what: &str, mut attempt: impl AsyncFnMut() -> Option<T>) -> T {
+    let start = Instant::now();
+    loop {
+        if let Some(value) = attempt().await {
+            return value;
+        }
+        assert!(start.elapsed() < Duration::from_secs(60), "no {what} within a minute");
+        tokio::time::sleep(Duration::from_millis(1)).await;
+    }
+}
+
 #[tokio::test]
-async fn a_set_up_is_built_once_and_told_in_order() {
+async fn a_set_up_is_built_once_and_reports_in_order() {
     let service = service(2, Limits::default());
     let file = ball::setup_file("ball");
     let mut stages = Vec::new();
@@ -78,7 +90,7 @@ async fn a_set_up_is_built_once_and_told_in_order() {
 }
 
 #[tokio::test]
-async fn all_who_ask_at_the_same_time_get_one_build() {
+async fn concurrent_uploads_share_one_build() {
     let service = Arc::new(service(2, Limits::default()));
     let file = ball::setup_file("ball");
     let builds = (0..8).map(|_| {
@@ -99,7 +111,7 @@ async fn all_who_ask_at_the_same_time_get_one_build() {
 }
 
 #[tokio::test]
-async fn giving_up_on_a_build_leaves_nothing_behind() {
+async fn an_abandoned_build_leaves_nothing_behind() {
     let service = Arc::new(service(1, Limits::default()));
     let file = ball::setup_file("ball");
     let told = Arc::new(Mutex::new(0));
@@ -112,14 +124,10 @@ async fn giving_up_on_a_build_leaves_nothing_behind() {
                 .map(drop)
         }
     });
-    while *told.lock().unwrap() == 0 {
-        tokio::task::yield_now().await;
-    }
+    eventually("report", async || (*told.lock().unwrap() > 0).then_some(())).await;
     build.abort();
     let _ = build.await;
-    while service.load() > 0 {
-        tokio::time::sleep(Duration::from_millis(1)).await;
-    }
+    eventually("idle pool", async || (service.load() == 0).then_some(())).await;
     assert!(create(&service, "ball").await.is_ok());
 }
 
@@ -144,7 +152,7 @@ async fn deform_gives_the_engines_bits_whatever_the_number_of_threads() {
 }
 
 #[tokio::test]
-async fn control_points_take_the_place_of_a_component() {
+async fn given_control_points_replace_those_of_a_component() {
     let service = service(2, Limits::default());
     let setup = create(&service, "ball").await.unwrap();
     let session = open(&service, &setup).await;
@@ -157,7 +165,7 @@ async fn control_points_take_the_place_of_a_component() {
 }
 
 #[tokio::test]
-async fn bad_designs_are_refused_by_entry() {
+async fn invalid_designs_are_rejected_by_entry() {
     let service = service(1, Limits::default());
     let session = open(&service, &create(&service, "ball").await.unwrap()).await;
     let named = |name: &str| Design {
@@ -213,7 +221,7 @@ async fn a_request_id_names_one_upload() {
 }
 
 #[tokio::test]
-async fn uploads_at_a_time_have_a_limit() {
+async fn concurrent_uploads_have_a_limit() {
     let service = service(1, Limits { uploads: 1, ..Limits::default() });
     let file = ball::setup_file("ball");
     let receiving = service.receive(&local(), header("", &file)).unwrap();
@@ -299,11 +307,11 @@ async fn a_block_of_the_jacobian_and_the_vectors_of_a_request_have_limits() {
     let error = service.jvp(&local(), &session, At::design(moved(0.0)), directions).await.unwrap_err();
     assert_eq!((error.code, error.violations[0].field.as_str()), (Code::InvalidArgument, "design.shape[0]"));
     assert!(error.message.contains('3') && error.message.contains("1..=2"));
-    assert_eq!(service.load(), 0, "refused before any work");
+    assert_eq!(service.load(), 0, "rejected before any work");
 }
 
 #[tokio::test]
-async fn set_ups_beyond_the_budget_are_loaded_again_with_the_same_bits() {
+async fn evicted_set_ups_are_loaded_again_with_the_same_bits() {
     let unbounded = service(1, Limits::default());
     let bytes = engine(&unbounded, &create(&unbounded, "first").await.unwrap()).await.bytes();
 
@@ -325,7 +333,7 @@ async fn set_ups_beyond_the_budget_are_loaded_again_with_the_same_bits() {
     let cache = service.status(&local()).await.unwrap().setup_cache;
     assert_eq!((cache.entries, cache.evictions), (2, 1), "the second one is held by its linearisation");
     assert!(service.get_setup(&local(), &second).await.is_ok());
-    // The session has lost nothing: its set-up and the linearisation are made again.
+    // The session has lost nothing: its set-up is loaded, and the linearisation recomputed.
     let seeds = || first_x(vertices.len());
     let wanted = Wanted { design: true, control_points: Vec::new() };
     let error = service.vjp(&local(), &session, At::id(&id), seeds(), wanted.clone()).await.unwrap_err();
@@ -337,7 +345,7 @@ async fn set_ups_beyond_the_budget_are_loaded_again_with_the_same_bits() {
 }
 
 #[tokio::test]
-async fn linearisations_are_shared_by_a_tenants_sessions_and_made_again_with_the_same_bits() {
+async fn linearisations_are_shared_by_a_tenants_sessions_and_recomputed_to_the_same_bits() {
     let unbounded = service(1, Limits::default());
     let session = open(&unbounded, &create(&unbounded, "ball").await.unwrap()).await;
     let bytes = unbounded.deform(&local(), &session, moved(0.1)).await.unwrap().bytes();
@@ -382,7 +390,7 @@ fn last_file(folder: &Path) -> PathBuf {
 }
 
 #[tokio::test]
-async fn a_damaged_record_is_a_fault_of_its_own_and_can_be_written_anew() {
+async fn a_damaged_record_affects_nothing_else_and_can_be_rewritten() {
     let folder = tempfile::tempdir().unwrap();
     let store = Store::open(folder.path().to_str().unwrap()).await.unwrap();
     let limits = PoolLimits { threads: 1, running: 1, queued: 16 };
@@ -396,14 +404,14 @@ async fn a_damaged_record_is_a_fault_of_its_own_and_can_be_written_anew() {
 
     assert!(is_fault(service.get_setup(&local(), &bad).await.unwrap_err()));
     assert!(is_fault(service.get_session(&local(), &damaged).await.unwrap_err()));
-    // Lists, quotas and the load go on without.
+    // Lists, quotas and the status skip it.
     let setups = service.list_setups(&local(), &Page::default()).await.unwrap().entries;
     assert_eq!(setups.iter().map(|setup| &setup.id).collect::<Vec<_>>(), [&good]);
     let sessions = service.list_sessions(&local(), &Page::default()).await.unwrap().entries;
     assert_eq!(sessions.iter().map(|session| &session.id).collect::<Vec<_>>(), [&whole]);
     create(&service, "another").await.unwrap();
     service.status(&local()).await.unwrap();
-    // The way out: the same content again, and closing.
+    // The way out: upload the same content again, close the session.
     assert_eq!(create(&service, "bad").await.unwrap(), bad);
     assert!(service.get_setup(&local(), &bad).await.unwrap().access.owned);
     service.close_session(&local(), &damaged).await.unwrap();

@@ -1,4 +1,4 @@
-//! Who sees what: every method, every role, two tenants; sessions on several services; what a restart leaves.
+//! Access control: every method, role and two tenants; sessions on several services; restarts.
 #![allow(clippy::unwrap_used, reason = "helpers of tests are tests")]
 
 mod ball;
@@ -92,7 +92,7 @@ const METHODS: [&str; 14] = [
     "status",
 ];
 
-/// Calls a method on what belongs to somebody, and says how it went: `ok`, `empty` for lists without entries, or the code.
+/// Calls a method on a set-up and a session; the outcome is `ok`, `empty` for lists without entries, or the code.
 async fn call(service: &Service, caller: &Principal, method: &str, setup: &str, session: &str) -> String {
     let at = || At::design(moved(0.0));
     let wanted = Wanted { design: true, control_points: Vec::new() };
@@ -172,18 +172,18 @@ async fn every_method_for_every_role_and_two_tenants() {
                         }
                     }
                     "receive" => not_for_readers("ok"),
-                    // Last of all, since it makes the caller an owner.
+                    // Last, since it makes the caller an owner.
                     "create_setup" => continue,
                     "open_session" => not_for_readers(visible),
                     _ => not_for_readers(of_owner),
                 };
-                // What others open is theirs: looked at before.
+                // Sessions that others open belong to them, as checked before.
                 if method == "open_session" && !own && expected == "ok" {
                     continue;
                 }
                 let outcome = call(&service, &caller, method, &setup, &session).await;
                 assert_eq!(outcome, expected, "{method} by {name} as {role:?} of what is {visibility:?}");
-                // What the owner changes is put back for the methods after it.
+                // The owner's changes are undone for the next method.
                 if method == "share_setup" && own {
                     let _ = service.share_setup(&owner, &setup, visibility.clone()).await;
                 }
@@ -194,9 +194,9 @@ async fn every_method_for_every_role_and_two_tenants() {
     }
 }
 
-/// What a caller is told about something of another's that exists, and about something that does not.
+/// The answers about another tenant's object and about one that does not exist are the same.
 #[tokio::test]
-async fn what_exists_and_what_does_not_are_told_apart_by_nobody_else() {
+async fn others_cannot_tell_whether_an_object_exists() {
     let service = service();
     let (owner, other) = (user("owner"), user("other"));
     let (setup, ..) = create(&service, &owner, None).await.unwrap();
@@ -237,7 +237,7 @@ async fn what_exists_and_what_does_not_are_told_apart_by_nobody_else() {
 }
 
 #[tokio::test]
-async fn the_same_content_uploaded_by_another_is_new_to_it() {
+async fn content_uploaded_by_another_tenant_is_new_to_the_caller() {
     let service = service();
     let (first, second) = (user("first"), user("second"));
     let stages = |caller: Principal| {
@@ -258,7 +258,7 @@ async fn the_same_content_uploaded_by_another_is_new_to_it() {
     assert_eq!(seen, steps, "nor do the steps tell");
     assert_eq!(again.access, Access { owned: true, visibility: Visibility::Private });
     assert!(!create(&service, &first, None).await.unwrap().1);
-    // Each gives up its own.
+    // Each deletes its own.
     service.delete_setup(&first, &setup).await.unwrap();
     assert_eq!(service.get_setup(&first, &setup).await.unwrap_err().code, Code::NotFound);
     assert!(service.get_setup(&second, &setup).await.is_ok());
@@ -266,7 +266,7 @@ async fn the_same_content_uploaded_by_another_is_new_to_it() {
 }
 
 #[tokio::test]
-async fn sharing_is_seen_and_taken_back() {
+async fn sharing_is_visible_and_can_be_revoked() {
     let service = service();
     let (owner, friend, other) = (user("owner"), user("friend"), user("other"));
     let shared = Visibility::Tenants(BTreeSet::from([tenant("friend"), tenant("third")]));
@@ -320,7 +320,7 @@ async fn a_session_moves_between_services_with_the_same_bits() {
 }
 
 #[tokio::test]
-async fn of_many_updates_of_one_generation_one_wins() {
+async fn one_of_many_updates_of_a_generation_wins() {
     let store = Store::in_memory();
     let services = std::sync::Arc::new([on(&store, Limits::default()), on(&store, Limits::default())]);
     let caller = user("a");
@@ -366,7 +366,7 @@ async fn retries_are_recognised_after_a_restart_and_by_another_server() {
     }
     let error = second.open_session(&caller, &setup, "label", "open").await.unwrap_err();
     assert_eq!(error.code, Code::AlreadyExists);
-    // Another tenant's request ids are its own.
+    // Request ids belong to their tenant.
     let other = user("b");
     let (theirs, ..) = create(&second, &other, None).await.unwrap();
     assert_ne!(second.open_session(&other, &theirs, "", "open").await.unwrap().id, opened.id);
@@ -425,7 +425,7 @@ async fn lists_come_in_pages() {
 }
 
 #[tokio::test]
-async fn content_that_nobody_needs_is_collected_and_nothing_else() {
+async fn only_unreachable_content_is_collected() {
     let store = Store::in_memory();
     let service = on(&store, Limits::default());
     let (a, b) = (user("a"), user("b"));

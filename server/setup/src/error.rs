@@ -1,5 +1,6 @@
 //! Errors with the path of the field: `components[1].patches[0].knots_u[7] = NaN is not finite`.
 
+use moldline_foundation::Failure;
 use moldline_geometry::{ComponentError, PrimitiveError};
 use moldline_mesh::{MeshError, io::ReadError};
 use moldline_parameterisation::ParameterisationError;
@@ -168,4 +169,33 @@ pub enum SetupFileError {
         /// The system's reason.
         source: std::io::Error,
     },
+}
+
+impl Failure for SetupFileError {
+    fn field(&self) -> Option<String> {
+        Some(match self {
+            Self::SetupFile { .. } => "setup_file".to_owned(),
+            Self::MissingFile { field, .. }
+            | Self::Path { field, .. }
+            | Self::TooMany { field, .. }
+            | Self::NotFinite { field, .. }
+            | Self::Value { field, .. }
+            | Self::Size { field, .. }
+            | Self::Knots { field, .. }
+            | Self::Choice { field, .. }
+            | Self::Duplicate { field, .. } => field.clone(),
+            Self::Syntax { file, field, .. } if field.is_empty() => file.clone(),
+            Self::Syntax { field, .. } => field.clone(),
+            Self::Format { .. } => "format".to_owned(),
+            Self::Component { index, .. } => format!("components[{index}]"),
+            Self::Primitive { index, .. } => format!("components[{index}].primitive"),
+            Self::MeshFile { source: ReadError::Mesh(error), .. } | Self::Mesh(error) => {
+                return error.field().map(|field| format!("mesh.{field}"));
+            }
+            Self::MeshFile { .. } => "mesh.file".to_owned(),
+            Self::Parameterisation(error) => return error.field(),
+            Self::Archive { .. } => "archive".to_owned(),
+            Self::Io { path, .. } => path.clone(),
+        })
+    }
 }

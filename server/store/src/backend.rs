@@ -17,21 +17,21 @@ use crate::error::StoreError;
 /// An object in a list.
 #[derive(Clone, Debug)]
 pub struct Listed {
-    /// Its name below the prefix of the store.
+    /// Its name, relative to the prefix of the store.
     pub name: String,
-    /// Bytes.
+    /// Its size, bytes.
     pub size: u64,
-    /// When it was written.
+    /// Time of the last write.
     pub modified: SystemTime,
 }
 
-/// A place for objects.
+/// A collection of objects.
 #[derive(Clone, Debug)]
 pub struct Backend {
     objects: Arc<dyn ObjectStore>,
-    /// Before all names.
+    /// Prefix of all names.
     prefix: Path,
-    /// The folder, if it is one.
+    /// The folder, if the objects are files.
     folder: Option<Arc<PathBuf>>,
 }
 
@@ -47,7 +47,7 @@ impl Backend {
         Self::folder(FilePath::new(location)).map_err(|error| refused(location, error.to_string()))
     }
 
-    /// The same; a folder is made if there is none.
+    /// Opens, and creates a missing folder.
     pub fn make(location: &str) -> Result<Self, StoreError> {
         if location != "memory" && !location.contains("://") {
             std::fs::create_dir_all(location).map_err(|error| refused(location, error.to_string()))?;
@@ -55,7 +55,7 @@ impl Backend {
         Self::open(location)
     }
 
-    /// One that ends with the process.
+    /// A collection in memory, which ends with the process.
     pub fn in_memory() -> Self {
         Self { objects: Arc::new(InMemory::new()), prefix: Path::default(), folder: None }
     }
@@ -63,7 +63,7 @@ impl Backend {
     fn folder(path: &FilePath) -> Result<Self, Box<dyn std::error::Error>> {
         let path = path.canonicalize()?;
         let objects = LocalFileSystem::new_with_prefix(&path)?;
-        // Acknowledged means on the disk: file and folder are synced before a write returns.
+        // Acknowledged objects are on the disk: file and folder are synced before a write returns.
         let objects = Arc::new(objects.with_fsync(true));
         Ok(Self { objects, prefix: Path::default(), folder: Some(Arc::new(path)) })
     }
@@ -75,11 +75,11 @@ impl Backend {
             return Err(refused(location, "only s3:// is known among URLs"));
         }
         let prefix = Path::from_url_path(url.path()).map_err(|error| refused(location, error.to_string()))?;
-        // The provider of cryptography that everything here uses. That it is chosen already is fine.
+        // The process-wide provider of cryptography. An earlier installation is fine.
         let _ = tokio_rustls::rustls::crypto::ring::default_provider().install_default();
         // Endpoint, region and credentials come from the environment: AWS_ENDPOINT, AWS_REGION, AWS_ACCESS_KEY_ID, ...
         let builder = object_store::aws::AmazonS3Builder::from_env().with_url(location);
-        // Callers wait for it: they hear soon that it does not answer, and decide themselves whether to try again.
+        // Callers wait: they learn soon that the store does not answer, and decide themselves whether to retry.
         let retry = object_store::RetryConfig {
             max_retries: 5,
             retry_timeout: std::time::Duration::from_secs(15),
@@ -96,7 +96,7 @@ impl Backend {
         Err(refused(location, "this program was built without object stores (feature `s3`)"))
     }
 
-    /// The folder, if it is one.
+    /// The folder, if the objects are files.
     pub fn local_folder(&self) -> Option<&FilePath> {
         self.folder.as_deref().map(PathBuf::as_path)
     }
@@ -105,13 +105,13 @@ impl Backend {
         self.prefix.parts().chain(Path::from(name).parts()).collect()
     }
 
-    /// Creates an object, durably; `false` if there is one of that name.
+    /// Creates an object durably; `false` if the name exists.
     pub async fn create(&self, name: &str, data: Bytes) -> Result<bool, StoreError> {
         let path = self.path(name);
         match self.objects.put_opts(&path, PutPayload::from_bytes(data), PutMode::Create.into()).await {
             Ok(_) => Ok(true),
             Err(object_store::Error::AlreadyExists { .. } | object_store::Error::Precondition { .. }) => {
-                // The one who created it may not have come to sync the folder yet, and the caller is about to rely on it.
+                // Its creator may not have synced the folder yet, and the caller is about to rely on the object.
                 self.sync_folder_of(name).await?;
                 Ok(false)
             }
@@ -119,7 +119,7 @@ impl Backend {
         }
     }
 
-    /// Writes an object again that has a hash for a name: with the same content, and a new date.
+    /// Rewrites an object that is named by its hash: the same content with a new date.
     pub async fn renew(&self, name: &str, data: Bytes) -> Result<(), StoreError> {
         let written = self.objects.put(&self.path(name), PutPayload::from_bytes(data)).await;
         written.map(drop).map_err(|error| StoreError::of(name, &error))
@@ -140,7 +140,7 @@ impl Backend {
             .map_err(|error| unavailable(error.to_string()))
     }
 
-    /// The content and age of an object, if there is one.
+    /// Content and age of an object, if it exists.
     pub async fn read(&self, name: &str) -> Result<Option<(Bytes, SystemTime)>, StoreError> {
         let found = match self.objects.get(&self.path(name)).await {
             Ok(found) => found,
@@ -154,7 +154,7 @@ impl Backend {
         }
     }
 
-    /// All objects below a name, in order.
+    /// All objects below a name, sorted.
     pub async fn list(&self, below: &str) -> Result<Vec<Listed>, StoreError> {
         let prefix = self.path(below);
         let strip = self.prefix.as_ref().len() + usize::from(!self.prefix.as_ref().is_empty());
@@ -172,7 +172,7 @@ impl Backend {
         Ok(found)
     }
 
-    /// Names one level below a name, in order.
+    /// Names one level below a name, sorted.
     pub async fn children(&self, below: &str) -> Result<Vec<String>, StoreError> {
         let found = match self.objects.list_with_delimiter(Some(&self.path(below))).await {
             Ok(found) => found,
@@ -187,7 +187,7 @@ impl Backend {
         Ok(names)
     }
 
-    /// Removes an object, if there is one.
+    /// Removes an object, if it exists.
     pub async fn delete(&self, name: &str) -> Result<(), StoreError> {
         match self.objects.delete(&self.path(name)).await {
             Ok(()) | Err(object_store::Error::NotFound { .. }) => Ok(()),
@@ -196,7 +196,7 @@ impl Backend {
     }
 }
 
-/// It cannot be opened.
+/// The error that the store cannot be opened.
 pub(crate) fn refused(location: &str, reason: impl Into<String>) -> StoreError {
     StoreError::Location { location: location.to_owned(), reason: reason.into() }
 }

@@ -1,4 +1,4 @@
-//! What nobody can reach any more, and whether the rest is what was written.
+//! Garbage collection and verification.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -13,35 +13,35 @@ use crate::{
     store::{CLOSED, Store, check_hash, older},
 };
 
-/// Request ids are remembered at least so long, whatever the grace period.
+/// Minimum time for which request ids are kept, whatever the grace period.
 const REQUESTS: Duration = Duration::from_secs(7 * 24 * 3600);
 
-/// What a collection removed, or would.
+/// Objects that a collection removed or, in a dry run, would remove.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Collected {
-    /// Names.
+    /// Their names.
     pub objects: Vec<String>,
-    /// Of all of them.
+    /// Their size.
     pub bytes: u64,
 }
 
-/// What a verification read.
+/// The result of a verification.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Verified {
-    /// How many objects.
+    /// Number of objects read.
     pub objects: usize,
-    /// Of all of them.
+    /// Their size.
     pub bytes: u64,
-    /// What is damaged or missing.
+    /// Damaged and missing objects.
     pub faults: Vec<StoreError>,
 }
 
 impl Store {
-    /// Removes what cannot be reached any more and has not been written for `grace`; with `dry_run` only says what that
-    /// is. Under a running service `grace` has to be longer than any upload takes, and than an hour.
+    /// Removes unreachable objects that have not been written for `grace`; with `dry_run` only lists them. Under a running
+    /// service `grace` must be longer than any upload takes, and than an hour.
     ///
     /// # Errors
-    /// If the store does not answer, or a record that decides is damaged: then nothing is removed.
+    /// If the store does not answer, or a record that decides is damaged; nothing is removed then.
     pub async fn collect(&self, grace: Duration, dry_run: bool) -> Result<Collected, StoreError> {
         let objects = self.backend.list("").await?;
         let mut garbage: Vec<&Listed> = Vec::new();
@@ -59,12 +59,12 @@ impl Store {
         }
         for (_, generations) in rows(&objects, "session/") {
             if generations.iter().any(|object| object.name.ends_with(CLOSED)) {
-                // That it is closed goes last.
+                // The mark that it is closed is removed last.
                 garbage.extend(generations);
                 continue;
             }
             let last = generations[generations.len() - 1];
-            // The first generation keeps the id taken.
+            // The first generation reserves the id.
             garbage.extend(&generations[1.min(generations.len() - 1)..generations.len() - 1]);
             if let Some(record) = self.read_record::<SessionRecord>(&last.name).await? {
                 needed.insert(record.setup);
@@ -73,7 +73,7 @@ impl Store {
         let mut blobs = BTreeSet::new();
         for object in objects.iter().filter(|object| object.name.starts_with("setup/")) {
             let id = &object.name["setup/".len()..];
-            // A young one may be on its way to an owner: its blobs stay with it.
+            // A young set-up may be about to get an owner: its blobs stay with it.
             if needed.contains(id) || !older(object.modified, grace) {
                 let files = self.manifest(id).await?.map(|manifest| manifest.files).unwrap_or_default();
                 blobs.extend(files.into_iter().map(|file| file.hash));
@@ -105,7 +105,7 @@ impl Store {
         let mut collected = Collected::default();
         for object in garbage.into_iter().filter(|object| older(object.modified, grace)) {
             if !dry_run {
-                // It may have been written again since it was listed.
+                // It may have been rewritten since it was listed.
                 match self.backend.read(&object.name).await? {
                     Some((_, modified)) if older(modified, grace) => {
                         self.backend.delete(&object.name).await?
@@ -127,7 +127,7 @@ impl Store {
         found.map(|(sealed, _)| unseal(name, &sealed)).transpose()
     }
 
-    /// Reads everything, and says what is damaged or missing.
+    /// Reads all objects, and reports damaged and missing ones.
     ///
     /// # Errors
     /// If the store does not answer.
@@ -169,7 +169,7 @@ impl Store {
     }
 }
 
-/// Objects below `kind`, by what is before their last part; each row in order.
+/// Objects below `kind`, grouped by all but the last part of their names; each group sorted.
 fn rows<'o>(objects: &'o [Listed], kind: &str) -> BTreeMap<String, Vec<&'o Listed>> {
     let mut rows: BTreeMap<String, Vec<&Listed>> = BTreeMap::new();
     for object in objects.iter().filter(|object| object.name.starts_with(kind)) {
@@ -180,13 +180,13 @@ fn rows<'o>(objects: &'o [Listed], kind: &str) -> BTreeMap<String, Vec<&'o Liste
     rows
 }
 
-/// Whether there is any object whose name begins so.
+/// Whether any object has a name with that prefix.
 fn has_row(objects: &[Listed], row: &str) -> bool {
     let first = objects.partition_point(|object| object.name.as_str() < row);
     objects.get(first).is_some_and(|object| object.name.starts_with(row))
 }
 
-/// Files that were being written when a process ended; no reader ever sees them.
+/// Files that were being written when a process ended; they are never visible to readers.
 fn leftovers(root: &Path, folder: &Path, grace: Duration, dry_run: bool, collected: &mut Collected) {
     let Ok(entries) = std::fs::read_dir(folder) else { return };
     for entry in entries.flatten() {

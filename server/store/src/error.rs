@@ -1,48 +1,50 @@
-//! Why the store does not do what it is asked to.
+//! Errors of the store.
 
-use std::{error::Error, io};
+use std::{error::Error, io, time::Duration};
 
-/// Why the store does not do what it is asked to. What it holds is intact, except where `Corrupt` says so.
+use moldline_host::{Code, ServiceError};
+
+/// Why an operation on the store fails. Its content is intact, except for `Corrupt` objects.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum StoreError {
     /// No space.
     #[error("the store has no space left for {object}: {reason}")]
     Full {
-        /// What was to be written.
+        /// The object to be written.
         object: String,
-        /// In the words of the system.
+        /// The system's message.
         reason: String,
     },
-    /// No right to write.
+    /// No permission to write.
     #[error("the store cannot be written to, {object} is not stored: {reason}")]
     ReadOnly {
-        /// What was to be written.
+        /// The object to be written.
         object: String,
-        /// In the words of the system.
+        /// The system's message.
         reason: String,
     },
-    /// Bytes that are not those that were written.
+    /// The bytes are not those that were written.
     #[error("{object} in the store is damaged: {reason}")]
     Corrupt {
-        /// Which.
+        /// The object.
         object: String,
-        /// How that is known.
+        /// How the damage was found.
         reason: String,
     },
     /// Anything else: a network that does not answer, say.
     #[error("the store does not answer for {object}: {reason}")]
     Unavailable {
-        /// What was asked for.
+        /// The object requested.
         object: String,
-        /// In the words of the system.
+        /// The system's message.
         reason: String,
     },
-    /// It cannot be opened.
+    /// The store cannot be opened.
     #[error("cannot open the store {location}: {reason}")]
     Location {
-        /// As given.
+        /// The location as given.
         location: String,
-        /// Why.
+        /// The reason.
         reason: String,
     },
 }
@@ -52,7 +54,7 @@ impl StoreError {
         Self::Corrupt { object: object.into(), reason: reason.into() }
     }
 
-    /// By the class of the system's error below.
+    /// Classified by the system's error at its root.
     pub(crate) fn of(object: &str, error: &object_store::Error) -> Self {
         let innermost = chain(error).last().map(ToString::to_string).unwrap_or_default();
         let (object, reason) = (object.to_owned(), innermost);
@@ -68,11 +70,27 @@ impl StoreError {
     }
 }
 
-/// What goes into a list, or counts for many: nothing in place of what is damaged, which is said to those who ask for it by
-/// name.
+impl From<StoreError> for ServiceError {
+    fn from(error: StoreError) -> Self {
+        let code = match error {
+            StoreError::Full { .. } => Code::ResourceExhausted,
+            StoreError::Corrupt { .. } => Code::Internal,
+            StoreError::ReadOnly { .. } | StoreError::Location { .. } | StoreError::Unavailable { .. } => {
+                Code::Unavailable
+            }
+        };
+        let answer = Self::new(code, error.to_string());
+        match error {
+            StoreError::Unavailable { .. } => answer.retry_after(Duration::from_secs(1)),
+            _ => answer,
+        }
+    }
+}
+
+/// Skips a damaged record, for lists and sums. Reading it by its id still reports the damage.
 ///
 /// # Errors
-/// All others.
+/// All errors but `Corrupt`.
 pub fn unless_damaged<T>(found: Result<Option<T>, StoreError>) -> Result<Option<T>, StoreError> {
     match found {
         Err(error @ StoreError::Corrupt { .. }) => {
@@ -83,7 +101,7 @@ pub fn unless_damaged<T>(found: Result<Option<T>, StoreError>) -> Result<Option<
     }
 }
 
-/// An error and what is below it, outermost first.
+/// An error and its sources, outermost first.
 fn chain<'e>(error: &'e (dyn Error + 'static)) -> impl Iterator<Item = &'e (dyn Error + 'static)> {
     std::iter::successors(Some(error), |&error| error.source())
 }
@@ -97,7 +115,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn errors_of_the_system_are_told_apart_however_deep_they_lie() {
+    fn system_errors_are_classified_however_deeply_they_are_nested() {
         let of = |kind: io::ErrorKind| {
             let inner =
                 object_store::Error::Generic { store: "test", source: Box::new(io::Error::from(kind)) };

@@ -1,4 +1,4 @@
-//! What is written, and how a reader knows that it is what was written.
+//! Records, and the hashes that verify them.
 
 use std::time::SystemTime;
 
@@ -7,26 +7,26 @@ use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 use crate::error::StoreError;
 
-/// The files of a set-up: that which describes it first, then what it refers to by path.
+/// The files of a set-up: the set-up file first, followed by the files to which it refers by path.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Manifest {
-    /// In the order of their paths, but for the first.
+    /// The set-up file, then the others sorted by path.
     pub files: Vec<ManifestEntry>,
 }
 
 /// A file of a set-up.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ManifestEntry {
-    /// Relative, with `/` between parts.
+    /// Relative path, with `/` between parts.
     pub path: String,
-    /// blake3 of its content, in hexadecimal digits.
+    /// BLAKE3 hash of its content, in hexadecimal digits.
     pub hash: String,
-    /// Bytes.
+    /// Its size, bytes.
     pub size: u64,
 }
 
 impl Manifest {
-    /// Of paths and contents, the file that describes the set-up first.
+    /// The manifest of paths and contents, the set-up file first.
     pub fn of<'f>(files: impl IntoIterator<Item = (&'f str, &'f [u8])>) -> Self {
         let entry = |(path, content): (&str, &[u8])| ManifestEntry {
             path: path.to_owned(),
@@ -40,10 +40,9 @@ impl Manifest {
         Self { files }
     }
 
-    /// The name of what a set-up consists of, in hexadecimal digits. Whether it came in an archive and what else was
-    /// uploaded do not matter.
+    /// The id of the set-up, in hexadecimal digits. It does not depend on archives, nor on other uploaded files.
     pub fn id(&self) -> String {
-        // Grows with every change of meaning of the format.
+        // Increases whenever the meaning of the format changes.
         let mut hasher = blake3::Hasher::new_derive_key("moldline set-up, format 1");
         for ManifestEntry { path, hash, .. } in &self.files {
             hasher.update(&(path.len() as u64).to_le_bytes());
@@ -53,13 +52,13 @@ impl Manifest {
         hasher.finalize().to_hex().to_string()
     }
 
-    /// Of all files.
+    /// Total size of the files, bytes.
     pub fn bytes(&self) -> u64 {
         self.files.iter().map(|file| file.size).sum()
     }
 }
 
-/// Who may use a set-up besides its owner.
+/// The tenants that may use a set-up besides its owner.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Shared {
@@ -67,47 +66,47 @@ pub enum Shared {
     Private,
     /// These tenants.
     Tenants(Vec<String>),
-    /// All.
+    /// Every tenant.
     Public,
 }
 
-/// That a tenant has uploaded a set-up.
+/// A tenant's upload of a set-up.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AccessRecord {
-    /// `false` once it has been given up.
+    /// `false` once the tenant has deleted it.
     pub owned: bool,
     /// Who else may use it.
     pub shared: Shared,
     /// The user's title.
     pub name: String,
-    /// Of its mesh.
+    /// Vertices of its mesh.
     pub vertices: u64,
-    /// Of its mesh.
+    /// Cells of its mesh.
     pub cells: u64,
     /// Design variables.
     pub variables: u64,
-    /// Of its files.
+    /// Size of its files.
     pub bytes: u64,
-    /// When the tenant uploaded it first.
+    /// Time of the tenant's first upload.
     pub created: SystemTime,
 }
 
 /// A session.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SessionRecord {
-    /// Name of its set-up.
+    /// Id of its set-up.
     pub setup: String,
     /// Values of all variables.
     pub design: Numbers,
-    /// Control points that were given: component and coordinates.
+    /// Given control points: component and coordinates, m.
     pub control_points: Vec<(String, Numbers)>,
-    /// For people.
+    /// The user's label.
     pub label: String,
-    /// When it was opened.
+    /// Time of its opening.
     pub created: SystemTime,
-    /// When this generation was written.
+    /// Time at which this generation was written.
     pub updated: SystemTime,
-    /// The request that wrote it; may be empty.
+    /// Id of the request that wrote it; may be empty.
     pub request: String,
 }
 
@@ -138,7 +137,7 @@ impl TryFrom<String> for Numbers {
     }
 }
 
-/// A record with the hash of what follows in its first line.
+/// A record whose first line is the hash of the rest.
 pub(crate) fn seal(record: &impl Serialize) -> Result<Bytes, StoreError> {
     let body = serde_json::to_vec(record).map_err(|error| StoreError::Unavailable {
         object: "a record".to_owned(),
@@ -163,7 +162,7 @@ pub(crate) fn unseal<T: DeserializeOwned>(object: &str, sealed: &[u8]) -> Result
     serde_json::from_slice(body).map_err(|error| corrupt(error.to_string()))
 }
 
-/// Bytes with their hash behind them.
+/// Bytes followed by their hash.
 pub(crate) fn seal_bytes(mut data: Vec<u8>) -> Bytes {
     let hash = blake3::hash(&data);
     data.extend_from_slice(hash.as_bytes());
@@ -226,7 +225,7 @@ mod tests {
         assert_ne!(id(&[("setup.toml", "s"), ("mesh.msh", "m")]), reference);
         assert_ne!(id(&[("mesh.msh", "m"), ("setup.toml", "s"), ("wing.json", "w")]), reference);
         assert_ne!(id(&[("setup.toml", "s"), ("mesh.msh", "M"), ("wing.json", "w")]), reference);
-        // Bytes cannot wander from one file to the next.
+        // Bytes cannot move from one file to the next.
         assert_ne!(id(&[("a", "xy"), ("b", "")]), id(&[("a", "x"), ("b", "y")]));
     }
 }

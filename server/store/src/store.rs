@@ -1,4 +1,4 @@
-//! Set-ups, who owns them, sessions, and request ids.
+//! Set-ups and their owners, sessions, and request ids.
 
 use std::{
     collections::BTreeSet,
@@ -15,50 +15,50 @@ use crate::{
     records::{AccessRecord, Manifest, SessionRecord, Shared, seal, seal_bytes, unseal, unseal_bytes},
 };
 
-/// What is not touched for this long is written again where it is used, so that a collector finds it young.
+/// Objects older than this are rewritten when they are used, so that garbage collection does not remove them.
 const RENEW: Duration = Duration::from_secs(3600);
 /// Reads at a time.
 const AT_ONCE: usize = 32;
-/// In place of a tenant: all of them. No tenant has such a name.
+/// Stands for all tenants. No tenant can have this name.
 const EVERYBODY: &str = "@public";
-/// Of the layout described at the head of the crate.
+/// Version of the layout described at the head of the crate.
 const FORMAT: &str = "moldline store 1";
 
-/// The last of a row of records.
+/// The latest record of a row of generations.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Generation<T> {
-    /// Counts from one.
+    /// Its number, from 1.
     pub number: u64,
     /// The record.
     pub record: T,
 }
 
-/// What became of a request id.
+/// The outcome of claiming a request id.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Claim {
-    /// It is new.
+    /// The id is new.
     New,
-    /// It has named the same request before.
+    /// The id named the same request before.
     Repeated,
-    /// It has named another request.
+    /// The id named another request.
     Taken,
 }
 
-/// The store, shared by all who use it; so are the objects behind it, between processes and machines.
+/// A handle to a store. Clones, processes and machines share its objects.
 #[derive(Clone, Debug)]
 pub struct Store {
     pub(crate) backend: Backend,
 }
 
 impl Store {
-    /// Opens `memory`, a folder (made if there is none), or a URL such as `s3://bucket/prefix`.
+    /// Opens `memory`, a folder (created if it is missing), or a URL such as `s3://bucket/prefix`.
     ///
     /// # Errors
-    /// If it cannot be reached, or holds something else.
+    /// If it cannot be reached, or is no store.
     pub async fn open(location: &str) -> Result<Self, StoreError> {
         let backend = Backend::make(location)?;
         if !is_made(&backend, location).await? {
-            // One that cannot be written to yet is still good to read from, and errors say so when it comes to writing.
+            // A store that cannot be written to can still be read; writes report the error.
             match backend.create("format", Bytes::from_static(FORMAT.as_bytes())).await {
                 Ok(_) | Err(StoreError::Full { .. } | StoreError::ReadOnly { .. }) => {}
                 Err(error) => return Err(refused(location, error.to_string())),
@@ -67,10 +67,10 @@ impl Store {
         Ok(Self { backend })
     }
 
-    /// Opens a store that is there, and makes none.
+    /// Opens an existing store.
     ///
     /// # Errors
-    /// If there is none, it cannot be reached, or holds something else.
+    /// If it does not exist, cannot be reached, or is no store.
     pub async fn open_existing(location: &str) -> Result<Self, StoreError> {
         let backend = Backend::open(location)?;
         match is_made(&backend, location).await? {
@@ -79,12 +79,12 @@ impl Store {
         }
     }
 
-    /// One that ends with the process.
+    /// A store in memory, which ends with the process.
     pub fn in_memory() -> Self {
         Self { backend: Backend::in_memory() }
     }
 
-    /// Stores the files of a set-up, the one that describes it first, and returns its name.
+    /// Stores the files of a set-up, the set-up file first, and returns its id.
     ///
     /// # Errors
     /// If they cannot be written.
@@ -99,7 +99,7 @@ impl Store {
         Ok(id)
     }
 
-    /// Writes an object whose name says its content, where there is none, a damaged one, or one that is nearly forgotten.
+    /// Writes an object that is named by its hash, unless it exists, is intact and is young.
     async fn put_named(&self, name: &str, data: Bytes) -> Result<(), StoreError> {
         if let Some((found, modified)) = self.backend.read(name).await? {
             if found != data {
@@ -112,10 +112,10 @@ impl Store {
         self.backend.create(name, data).await.map(drop)
     }
 
-    /// The files of a set-up, the one that describes it first.
+    /// The files of a set-up, the set-up file first.
     ///
     /// # Errors
-    /// `Corrupt` naming the object whose content is not what its name says.
+    /// `Corrupt` naming the object whose content does not fit its name.
     pub async fn setup(&self, id: &str) -> Result<Option<Vec<(String, Bytes)>>, StoreError> {
         let Some(manifest) = self.manifest(id).await? else { return Ok(None) };
         let files = stream::iter(manifest.files).map(|file| async move {
@@ -139,7 +139,7 @@ impl Store {
         }
     }
 
-    /// Stores what a build of the engine found for a set-up.
+    /// Stores the data that a build of the engine derived from a set-up.
     ///
     /// # Errors
     /// If it cannot be written.
@@ -148,22 +148,22 @@ impl Store {
         let sealed = seal_bytes(data);
         match self.backend.create(&name, sealed.clone()).await? {
             true => Ok(()),
-            // Whoever writes it has found nothing there that serves.
+            // Its writer has found no usable object there.
             false => self.backend.renew(&name, sealed).await,
         }
     }
 
-    /// What that build of the engine found for a set-up, if it is there.
+    /// The data that a build of the engine derived from a set-up, if they are stored.
     ///
     /// # Errors
-    /// `Corrupt` if it is damaged.
+    /// `Corrupt` if they are damaged.
     pub async fn derived(&self, setup: &str, build: &str) -> Result<Option<Bytes>, StoreError> {
         let name = format!("derived/{setup}/{build}");
         let Some((sealed, _)) = self.backend.read(&name).await? else { return Ok(None) };
         unseal_bytes(&name, sealed).map(Some)
     }
 
-    /// What a set-up is to a tenant that uploaded it.
+    /// The access of a tenant that uploaded a set-up.
     ///
     /// # Errors
     /// If the store does not answer or the record is damaged.
@@ -175,7 +175,7 @@ impl Store {
         self.latest(&format!("access/{tenant}/{setup}")).await
     }
 
-    /// The same, with the reason in place of a record that is damaged: so that it can be written anew.
+    /// As [`access`](Self::access), with the error in place of a damaged record, so that it can be rewritten.
     ///
     /// # Errors
     /// If the store does not answer.
@@ -187,7 +187,7 @@ impl Store {
         self.latest_or_damage(&format!("access/{tenant}/{setup}")).await
     }
 
-    /// Writes the next generation of what a set-up is to a tenant; `false` if another did at the same time.
+    /// Writes the next generation of a tenant's access to a set-up; `false` if it exists already.
     ///
     /// # Errors
     /// If it cannot be written.
@@ -198,7 +198,7 @@ impl Store {
         number: u64,
         record: &AccessRecord,
     ) -> Result<bool, StoreError> {
-        // First where others look, since the record decides.
+        // The grant comes first: the record decides.
         let grantees: Vec<&str> = match &record.shared {
             _ if !record.owned => Vec::new(),
             Shared::Private => Vec::new(),
@@ -212,14 +212,14 @@ impl Store {
         self.append(&format!("access/{tenant}/{setup}"), number, record).await
     }
 
-    /// What a set-up is to a tenant by another's will, if anything.
+    /// The access to a set-up that another tenant has granted to a tenant, if any.
     ///
     /// # Errors
     /// If the store does not answer.
     pub async fn granted(&self, tenant: &str, setup: &str) -> Result<Option<AccessRecord>, StoreError> {
         for grantee in [tenant, EVERYBODY] {
             for owner in self.backend.children(&format!("grant/{grantee}/{setup}")).await? {
-                // What a damaged record allows nobody knows: nothing.
+                // A damaged record grants nothing.
                 let found = unless_damaged(self.access(&owner, setup).await)?;
                 let record = found.map(|generation| generation.record);
                 if let Some(record) = record.filter(|record| record.owned)
@@ -236,7 +236,7 @@ impl Store {
         Ok(None)
     }
 
-    /// Names of all set-ups that may be something to a tenant, in order.
+    /// Ids of all set-ups to which a tenant may have access, sorted.
     ///
     /// # Errors
     /// If the store does not answer.
@@ -248,7 +248,7 @@ impl Store {
         Ok(names.into_iter().collect())
     }
 
-    /// All set-ups that a tenant owns, but for those whose record is damaged.
+    /// All set-ups that a tenant owns, except those with a damaged record.
     ///
     /// # Errors
     /// If the store does not answer.
@@ -262,7 +262,7 @@ impl Store {
         Ok(records.into_iter().flatten().collect())
     }
 
-    /// Tenants that own set-ups or sessions, or did.
+    /// Tenants that own or owned set-ups or sessions.
     ///
     /// # Errors
     /// If the store does not answer.
@@ -274,7 +274,7 @@ impl Store {
         Ok(tenants)
     }
 
-    /// Set-ups and bytes in the store.
+    /// Number and size of the set-ups in the store.
     ///
     /// # Errors
     /// If the store does not answer.
@@ -284,7 +284,7 @@ impl Store {
         Ok((setups, objects.iter().map(|object| object.size).sum()))
     }
 
-    /// The last generation of an open session.
+    /// The latest generation of an open session.
     ///
     /// # Errors
     /// If the store does not answer or the record is damaged.
@@ -296,7 +296,7 @@ impl Store {
         self.latest(&format!("session/{tenant}/{id}")).await
     }
 
-    /// One generation of a session, if it is (still) there.
+    /// One generation of a session, if it exists (still).
     ///
     /// # Errors
     /// If the store does not answer or the record is damaged.
@@ -309,7 +309,7 @@ impl Store {
         self.record(&numbered(&format!("session/{tenant}/{id}"), number)).await
     }
 
-    /// Writes a generation of a session; `false` if there is one of that number.
+    /// Writes a generation of a session; `false` if the number exists.
     ///
     /// # Errors
     /// If it cannot be written.
@@ -332,7 +332,7 @@ impl Store {
         self.backend.create(&name, Bytes::from_static(b"closed")).await.map(drop)
     }
 
-    /// Ids of the open sessions of a tenant, in order.
+    /// Ids of the open sessions of a tenant, sorted.
     ///
     /// # Errors
     /// If the store does not answer.
@@ -349,7 +349,7 @@ impl Store {
         Ok(all.difference(&closed).cloned().collect())
     }
 
-    /// Binds a request id to a request, whose hash is given. The empty id is always new.
+    /// Binds a request id to the hash of a request. The empty id is always new.
     ///
     /// # Errors
     /// If it cannot be written.
@@ -399,7 +399,7 @@ impl Store {
     }
 }
 
-/// Whether a store has been made there.
+/// Whether a store exists there.
 async fn is_made(backend: &Backend, location: &str) -> Result<bool, StoreError> {
     match backend.read("format").await {
         Ok(Some((found, _))) if found == FORMAT.as_bytes() => Ok(true),
@@ -409,10 +409,10 @@ async fn is_made(backend: &Backend, location: &str) -> Result<bool, StoreError> 
     }
 }
 
-/// In place of a generation's number: no more of them count.
+/// In place of a generation's number: the session is closed.
 pub(crate) const CLOSED: &str = "closed";
 
-/// Names sort as the numbers do.
+/// The name of a generation; names sort like the numbers.
 fn numbered(row: &str, number: u64) -> String {
     format!("{row}/{number:020}")
 }
@@ -424,7 +424,7 @@ pub(crate) fn check_hash(name: &str, hash: &str, content: &[u8]) -> Result<(), S
     Err(StoreError::corrupt(name, format!("the hash of its {} bytes is not its name", content.len())))
 }
 
-/// Whether something was last written at least so long ago.
+/// Whether the last write was at least that long ago.
 pub(crate) fn older(modified: SystemTime, grace: Duration) -> bool {
     modified.elapsed().unwrap_or_default() >= grace
 }

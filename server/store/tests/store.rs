@@ -70,7 +70,7 @@ async fn filled(store: &Store) -> String {
 }
 
 #[tokio::test]
-async fn what_is_stored_is_found_by_all_who_open_the_place() {
+async fn stored_objects_are_found_by_every_store_at_the_location() {
     let folder = tempfile::tempdir().unwrap();
     let on_disk = folder.path().to_str().unwrap().to_owned();
     for place in [Some(on_disk), remote()].into_iter().flatten() {
@@ -98,7 +98,7 @@ async fn is_all_there(store: &Store, id: &str, name: &str) {
 }
 
 #[tokio::test]
-async fn only_a_place_with_a_store_is_one_that_exists() {
+async fn an_existing_store_is_required_where_none_may_be_created() {
     let folder = tempfile::tempdir().unwrap();
     let missing = folder.path().join("missing");
     let on_disk = missing.to_str().unwrap().to_owned();
@@ -112,7 +112,7 @@ async fn only_a_place_with_a_store_is_one_that_exists() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 4)]
-async fn of_many_who_create_the_same_generation_one_wins() {
+async fn one_of_many_writers_of_a_generation_wins() {
     let (_folder, on_disk) = folder().await;
     let mut stores = vec![Store::in_memory(), on_disk];
     if let Some(place) = remote() {
@@ -150,14 +150,14 @@ fn objects(folder: &Path) -> Vec<PathBuf> {
 }
 
 #[tokio::test]
-async fn flipped_bits_and_cut_files_are_found_and_named() {
+async fn flipped_bits_and_truncated_files_are_found_and_named() {
     let (folder, store) = folder().await;
     let id = filled(&store).await;
     let mut kinds = BTreeSet::new();
     for path in objects(folder.path()) {
         let name = path.strip_prefix(folder.path()).unwrap().to_str().unwrap().to_owned();
         let kind = name.split('/').next().unwrap().to_owned();
-        // The former says what the folder is, the latter nothing at all.
+        // `format` identifies the folder, a grant is empty.
         if kind == "format" || kind == "grant" {
             continue;
         }
@@ -188,7 +188,7 @@ async fn flipped_bits_and_cut_files_are_found_and_named() {
     }
     assert_eq!(kinds.len(), 6);
     assert_eq!(store.verify().await.unwrap().faults, []);
-    // The same content again mends a set-up.
+    // Storing the same content again repairs a set-up.
     for path in objects(&folder.path().join("blob")) {
         fs::write(path, b"damaged").unwrap();
     }
@@ -200,7 +200,7 @@ async fn flipped_bits_and_cut_files_are_found_and_named() {
 }
 
 #[tokio::test]
-async fn a_collection_removes_what_nobody_can_reach_and_old_enough() {
+async fn a_collection_removes_unreachable_objects_that_are_old_enough() {
     let (folder, store) = folder().await;
     fs::create_dir(folder.path().join("blob")).unwrap();
     fs::write(folder.path().join("blob").join("staged#1"), b"half").unwrap();
@@ -210,7 +210,7 @@ async fn a_collection_removes_what_nobody_can_reach_and_old_enough() {
     }
 }
 
-/// `blobs`: that nobody can reach.
+/// `blobs`: number of unreachable ones.
 async fn collects(store: &Store, blobs: usize) {
     let id = filled(store).await;
     let other = store.put_setup(&files("of nobody")).await.unwrap();
@@ -236,7 +236,7 @@ async fn collects(store: &Store, blobs: usize) {
 
 const PLACE: &str = "MOLDLINE_TEST_STORE";
 
-/// The same test binary as another process that runs one test only.
+/// This test binary as another process that runs one test only.
 fn child(test: &str, place: &Path, shell: &str) -> Command {
     let mut command = Command::new("sh");
     let binary = std::env::current_exe().unwrap();
@@ -245,7 +245,7 @@ fn child(test: &str, place: &Path, shell: &str) -> Command {
     command
 }
 
-/// Not a test of its own: the process that is killed. Says what has been acknowledged.
+/// Not a test by itself: the process to be killed. It prints what has been acknowledged.
 #[tokio::test]
 async fn a_process_that_writes() {
     let Ok(place) = std::env::var(PLACE) else { return };
@@ -266,17 +266,18 @@ async fn a_process_that_writes() {
 }
 
 #[tokio::test]
-async fn what_was_acknowledged_survives_kill_9_and_what_was_half_written_is_never_seen() {
+async fn acknowledged_objects_survive_sigkill_and_partial_ones_are_never_visible() {
     let (folder, store) = folder().await;
     let mut acknowledged = 0;
     for round in 0..6 {
         let mut children: Vec<_> =
             (0..2).map(|_| child("a_process_that_writes", folder.path(), "").spawn().unwrap()).collect();
+        // The processes are killed at another moment of their work in each round.
         std::thread::sleep(Duration::from_millis(300 + 70 * round));
         children.iter_mut().for_each(|child| child.kill().unwrap());
         for mut child in children {
             child.wait().unwrap();
-            // A line that was cut was not acknowledged.
+            // A truncated line was not acknowledged.
             let mut output = Vec::new();
             let mut reader = BufReader::new(child.stdout.take().unwrap());
             while reader.read_until(b'\n', &mut output).unwrap() > 0 {}
@@ -308,7 +309,7 @@ async fn what_was_acknowledged_survives_kill_9_and_what_was_half_written_is_neve
     assert_eq!(store.verify().await.unwrap().faults, []);
 }
 
-/// Not a test of its own: a process that may write small files only, as on a full disk.
+/// Not a test by itself: a process that may write small files only, as on a full disk.
 #[tokio::test]
 async fn a_process_without_space() {
     let Ok(place) = std::env::var(PLACE) else { return };
@@ -322,10 +323,10 @@ async fn a_process_without_space() {
 
 #[cfg(unix)]
 #[tokio::test]
-async fn a_full_disk_is_said_and_leaves_nothing_behind() {
+async fn a_full_disk_is_reported_and_leaves_nothing_behind() {
     let (folder, store) = folder().await;
     let id = filled(&store).await;
-    // Writing beyond the limit then fails as on a full disk, instead of ending the process.
+    // Without the signal, writing beyond the limit fails as on a full disk instead of ending the process.
     let limited =
         child("a_process_without_space", folder.path(), "trap '' XFSZ; ulimit -f 16;").output().unwrap();
     let text = String::from_utf8(limited.stdout).unwrap();
@@ -336,7 +337,7 @@ async fn a_full_disk_is_said_and_leaves_nothing_behind() {
 }
 
 #[tokio::test]
-async fn places_that_are_none_are_refused() {
+async fn invalid_locations_are_rejected() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("file");
     fs::write(&file, b"").unwrap();

@@ -1,9 +1,9 @@
-//! The one table of what a class of failure is on each transport.
+//! The table of error codes on each transport.
 
 use axum::http::StatusCode;
-use moldline_service::Code;
+use moldline_host::Code;
 
-/// Its gRPC code and its HTTP status.
+/// The gRPC code and the HTTP status of an error code.
 pub fn codes(code: Code) -> (tonic::Code, StatusCode) {
     match code {
         Code::InvalidArgument => (tonic::Code::InvalidArgument, StatusCode::BAD_REQUEST),
@@ -21,12 +21,12 @@ pub fn codes(code: Code) -> (tonic::Code, StatusCode) {
     }
 }
 
-/// 499, as proxies log it; no client is left to see it.
+/// 499, as proxies log it; the client has gone.
 fn client_closed_request() -> StatusCode {
     StatusCode::from_u16(499).unwrap_or(StatusCode::BAD_REQUEST)
 }
 
-/// The name of a gRPC code, as [`Code::name`] has it.
+/// The name of a gRPC code, in the style of [`Code::name`].
 pub fn grpc_name(code: tonic::Code) -> &'static str {
     match code {
         tonic::Code::Ok => "OK",

@@ -1,36 +1,36 @@
 //! Deadlines: `grpc-timeout` of gRPC, `Request-Timeout` in seconds over HTTP.
 //!
-//! When it passes the handler's future is dropped, and with it its place in the queue or the work of the engine, and the
-//! caller is told. An answer that streams asks for the [`Deadline`] itself.
+//! When the deadline passes, the handler's future is dropped, which cancels its task, and the caller gets an error. A streaming
+//! answer has to observe the [`Deadline`] itself.
 
 use std::time::Duration;
 
 use axum::{extract::Request, http::HeaderMap, middleware::Next, response::Response};
-use moldline_service::{Code, ServiceError};
+use moldline_host::{Code, ServiceError};
 use tokio::time::{Instant, timeout_at};
 
-use crate::refusal::{is_grpc, refuse};
+use crate::error_response::{is_grpc, reject};
 
-/// Header of the seconds that an HTTP client waits.
+/// Header with the timeout of an HTTP client in seconds.
 pub const REQUEST_TIMEOUT: &str = "request-timeout";
 
-/// When the caller stops waiting, in the extensions of a request; `None` if it waits for ever.
+/// The time at which the caller stops waiting, in the extensions of a request; `None` if it waits for ever.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Deadline(Option<Instant>);
 
 impl Deadline {
-    /// Waits for `work` until then; `refuse` makes an error of the transport.
+    /// Waits for `work` until the deadline; `failed` converts to an error of the transport.
     ///
     /// # Errors
     /// `DeadlineExceeded`, and what `work` returns.
     pub async fn limit<T, E>(
         self,
         work: impl Future<Output = Result<T, E>>,
-        refuse: impl FnOnce(ServiceError) -> E,
+        failed: impl FnOnce(ServiceError) -> E,
     ) -> Result<T, E> {
         match self.0 {
             None => work.await,
-            Some(end) => timeout_at(end, work).await.unwrap_or_else(|_| Err(refuse(passed()))),
+            Some(end) => timeout_at(end, work).await.unwrap_or_else(|_| Err(failed(passed()))),
         }
     }
 }
@@ -42,21 +42,21 @@ fn passed() -> ServiceError {
     )
 }
 
-/// Puts the deadline into the request, and ends the wait for an answer when it passes.
+/// Adds the deadline to the request, and ends the wait for an answer when it passes.
 pub async fn layer(mut request: Request, next: Next) -> Response {
     let grpc = is_grpc(request.headers());
-    let asked = if grpc { grpc_timeout(request.headers()) } else { request_timeout(request.headers()) };
-    let timeout = match asked {
+    let requested = if grpc { grpc_timeout(request.headers()) } else { request_timeout(request.headers()) };
+    let timeout = match requested {
         Ok(timeout) => timeout,
-        Err(error) => return refuse(grpc, error),
+        Err(error) => return reject(grpc, error),
     };
     let deadline = Deadline(timeout.and_then(|timeout| Instant::now().checked_add(timeout)));
     request.extensions_mut().insert(deadline);
     if timeout == Some(Duration::ZERO) {
-        return refuse(grpc, passed());
+        return reject(grpc, passed());
     }
     let answer = async { Ok(next.run(request).await) };
-    deadline.limit(answer, |error| refuse(grpc, error)).await.unwrap_or_else(|refused| refused)
+    deadline.limit(answer, |error| reject(grpc, error)).await.unwrap_or_else(|rejection| rejection)
 }
 
 fn request_timeout(headers: &HeaderMap) -> Result<Option<Duration>, ServiceError> {
@@ -98,7 +98,7 @@ mod tests {
     }
 
     #[test]
-    fn timeouts_are_read_and_nonsense_is_refused() {
+    fn timeouts_are_parsed_and_nonsense_is_rejected() {
         let of = |value| grpc_timeout(&headers("grpc-timeout", value));
         assert_eq!(of("250m").unwrap(), Some(Duration::from_millis(250)));
         assert_eq!(of("99999999H").unwrap(), Some(Duration::from_secs(99_999_999 * 3600)));

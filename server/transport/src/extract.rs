@@ -1,21 +1,21 @@
-//! Parts of an HTTP request, refused as problems where they are wrong.
+//! Extractors for parts of an HTTP request, which reject invalid ones with problem documents.
 
 use axum::{
     extract::{FromRequestParts, Path},
     http::request::Parts,
 };
-use moldline_service::{Code, Principal, ServiceError};
+use moldline_host::{Code, Principal, ServiceError};
 use serde::de::DeserializeOwned;
 
-use crate::refusal::Refusal;
+use crate::error_response::ErrorResponse;
 
-/// The query, into a struct.
+/// The query as a struct.
 pub struct Query<T>(pub T);
 
 impl<T: DeserializeOwned, S: Sync> FromRequestParts<S> for Query<T> {
-    type Rejection = Refusal;
+    type Rejection = ErrorResponse;
 
-    async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, Refusal> {
+    async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, ErrorResponse> {
         let query = axum::extract::Query::try_from_uri(&parts.uri);
         query
             .map(|axum::extract::Query(query)| Self(query))
@@ -23,13 +23,13 @@ impl<T: DeserializeOwned, S: Sync> FromRequestParts<S> for Query<T> {
     }
 }
 
-/// The one variable part of the path.
+/// The variable part of the path.
 pub struct Id(pub String);
 
 impl<S: Send + Sync> FromRequestParts<S> for Id {
-    type Rejection = Refusal;
+    type Rejection = ErrorResponse;
 
-    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Refusal> {
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, ErrorResponse> {
         match Path::<String>::from_request_parts(parts, state).await {
             Ok(Path(id)) => Ok(Self(id)),
             Err(error) => Err(ServiceError::invalid("path", error.body_text()).into()),
@@ -37,15 +37,18 @@ impl<S: Send + Sync> FromRequestParts<S> for Id {
     }
 }
 
-/// Who calls.
+/// The authenticated caller.
 pub struct Caller(pub Principal);
 
 impl<S: Sync> FromRequestParts<S> for Caller {
-    type Rejection = Refusal;
+    type Rejection = ErrorResponse;
 
-    async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, Refusal> {
-        parts.extensions.get().cloned().map(Self).ok_or_else(|| {
-            ServiceError::new(Code::Internal, "the request came past the question who sent it").into()
-        })
+    async fn from_request_parts(parts: &mut Parts, _: &S) -> Result<Self, ErrorResponse> {
+        parts
+            .extensions
+            .get()
+            .cloned()
+            .map(Self)
+            .ok_or_else(|| ServiceError::new(Code::Internal, "the request was not authenticated").into())
     }
 }

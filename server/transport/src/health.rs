@@ -8,7 +8,7 @@ use std::sync::{
 use axum::http::StatusCode;
 use tonic_health::{ServingStatus, server::HealthReporter};
 
-/// What probes are told.
+/// State of the probes.
 #[derive(Clone)]
 pub struct Health {
     ready: Arc<AtomicBool>,
@@ -17,30 +17,30 @@ pub struct Health {
 }
 
 impl Health {
-    /// Ready, and all of `services` serving; with the gRPC service that says so.
+    /// The state ready, with all of `services` serving, and the gRPC health service that reports it.
     pub async fn new(
         services: &[&'static str],
     ) -> (Self, tonic_health::pb::health_server::HealthServer<impl tonic_health::pb::health_server::Health>)
     {
         let (reporter, service) = tonic_health::server::health_reporter();
         let health = Self { ready: Arc::new(AtomicBool::new(true)), reporter, services: services.into() };
-        health.tell(ServingStatus::Serving).await;
+        health.report(ServingStatus::Serving).await;
         (health, service)
     }
 
-    /// The end is near: send nobody here any more. What comes all the same is served.
+    /// Announces the shutdown: not ready any more. Requests that still arrive are served.
     pub async fn end(&self) {
         self.ready.store(false, Ordering::Relaxed);
-        self.tell(ServingStatus::NotServing).await;
+        self.report(ServingStatus::NotServing).await;
     }
 
-    async fn tell(&self, status: ServingStatus) {
+    async fn report(&self, status: ServingStatus) {
         for service in self.services.iter().copied().chain([""]) {
             self.reporter.set_service_status(service, status).await;
         }
     }
 
-    /// The answer to `/readyz`: whether new requests are welcome.
+    /// The answer to `/readyz`: whether new requests should come here.
     pub fn ready(&self) -> (StatusCode, &'static str) {
         match self.ready.load(Ordering::Relaxed) {
             true => (StatusCode::OK, "ready\n"),

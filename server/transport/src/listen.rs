@@ -1,4 +1,4 @@
-//! One port for gRPC, gRPC-Web and HTTP, in the clear or over TLS, and its orderly end.
+//! One port for gRPC, gRPC-Web and HTTP, with or without TLS, and its graceful shutdown.
 
 use std::{io, net::SocketAddr, time::Duration};
 
@@ -22,14 +22,14 @@ use tower::ServiceExt;
 
 use crate::{access::Certified, tls};
 
-/// A TLS handshake takes no longer.
+/// Time limit of a TLS handshake.
 const HANDSHAKE: Duration = Duration::from_secs(10);
-/// HTTP/1: an idle connection, or one whose request does not come, is closed after that.
+/// HTTP/1: idle connections, and those whose request does not arrive, are closed after this time.
 const IDLE: Duration = Duration::from_secs(75);
-/// HTTP/2: clients that vanish without a word lose interest in what they asked for.
+/// HTTP/2: the interval of pings, which detect clients that vanished; their requests are cancelled.
 const KEEP_ALIVE: Duration = Duration::from_secs(30);
 
-/// Where requests come from.
+/// A listening port.
 pub struct Port {
     listener: TcpListener,
     tls: Option<TlsAcceptor>,
@@ -39,20 +39,20 @@ impl Port {
     /// Listens on `address`; port 0 takes a free one.
     ///
     /// # Errors
-    /// If the address is not to be had.
+    /// If the address is not available.
     pub async fn bind(address: SocketAddr, tls: Option<TlsAcceptor>) -> io::Result<Self> {
         Ok(Self { listener: TcpListener::bind(address).await?, tls })
     }
 
-    /// The address bound.
+    /// The bound address.
     ///
     /// # Errors
-    /// If the system does not know it.
+    /// If the system does not report it.
     pub fn address(&self) -> io::Result<SocketAddr> {
         self.listener.local_addr()
     }
 
-    /// Serves `app` until `close`, then takes no more connections, finishes what runs, and returns.
+    /// Serves `app` until `close`, then accepts no more connections, finishes running requests, and returns.
     pub async fn serve(self, app: Router, close: impl Future<Output = ()>) {
         let Self { listener, tls } = self;
         let graceful = GracefulShutdown::new();
@@ -63,7 +63,7 @@ impl Port {
                         tokio::spawn(connection(stream, tls.clone(), app.clone(), graceful.watcher()));
                     }
                     Err(error) => {
-                        // Out of file descriptors, most often; accepting again at once would only spin.
+                        // Most often out of file descriptors: accepting again at once would spin.
                         tracing::warn!(%error, "cannot accept a connection");
                         sleep(Duration::from_millis(50)).await;
                     }
@@ -80,7 +80,7 @@ impl Port {
 }
 
 async fn connection(stream: TcpStream, tls: Option<TlsAcceptor>, app: Router, watcher: Watcher) {
-    // Small messages leave at once: without it answers wait for the acknowledgement of the one before.
+    // Without it, small messages wait for the acknowledgement of the one before.
     if let Err(error) = stream.set_nodelay(true) {
         tracing::debug!(%error, "cannot set TCP_NODELAY");
     }
@@ -120,7 +120,7 @@ async fn talk(
     builder
         .http2()
         .timer(TokioTimer::new())
-        // A mesh goes up without waiting for acknowledgements.
+        // Large enough to upload a mesh without waiting for acknowledgements.
         .initial_stream_window_size(4 << 20)
         .initial_connection_window_size(16 << 20)
         .max_send_buf_size(1 << 20)

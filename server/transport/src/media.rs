@@ -1,4 +1,4 @@
-//! What travels in bodies over HTTP: JSON for people, .npy, .npz and plain little-endian bytes for programs.
+//! Media types of bodies over HTTP: JSON for people; .npy, .npz and plain little-endian bytes for programs.
 //!
 //! | type | request | answer |
 //! |---|---|---|
@@ -19,15 +19,15 @@ use axum::{
     response::Response,
 };
 use http_body::Body as _;
+use moldline_host::{Code, ServiceError};
 use moldline_proto::v1::{Array, DataType};
-use moldline_service::{Code, ServiceError};
 use serde::{Serialize, de};
 use tokio::time::{Instant, Sleep};
 use tokio_stream::{Stream, StreamExt};
 
 use crate::{
+    error_response::{Answer, ErrorResponse},
     npy,
-    refusal::{Answer, Refusal},
 };
 
 /// A type of body.
@@ -45,7 +45,7 @@ pub enum Media {
     Events,
 }
 
-/// What every answer with arrays can be.
+/// Types of answers with arrays.
 pub const ARRAYS: [Media; 4] = [Media::Json, Media::Npy, Media::Npz, Media::Octets];
 
 /// Extents of the array in an `application/octet-stream` answer, separated by commas.
@@ -63,7 +63,7 @@ impl Media {
         }
     }
 
-    /// The one of that name.
+    /// The type of that name.
     fn named(name: &str) -> Option<Self> {
         let all = [Self::Json, Self::Npy, Self::Npz, Self::Octets, Self::Events];
         all.into_iter().find(|media| media.name().eq_ignore_ascii_case(name)).or(match name {
@@ -73,18 +73,18 @@ impl Media {
         })
     }
 
-    /// What the client likes best among `offered`; the first of them if it does not care.
+    /// The type that the client prefers among `offered`; the first one without a preference.
     ///
     /// # Errors
-    /// 406 if it likes none.
+    /// 406 if it accepts none.
     pub fn accepted(headers: &HeaderMap, offered: &[Self]) -> Answer<Self> {
         let mut best: Option<(f32, Self)> = None;
-        let mut asked = false;
+        let mut restricted = false;
         let values = headers.get_all(header::ACCEPT).iter().filter_map(|value| value.to_str().ok());
         for range in
             values.flat_map(|value| value.split(',')).map(str::trim).filter(|range| !range.is_empty())
         {
-            asked = true;
+            restricted = true;
             let mut parts = range.split(';').map(str::trim);
             let name = parts.next().unwrap_or_default();
             let quality =
@@ -102,18 +102,18 @@ impl Media {
                 best = Some((quality, media));
             }
         }
-        match (best, asked, offered.first()) {
+        match (best, restricted, offered.first()) {
             (Some((_, media)), ..) => Ok(media),
             (None, false, Some(&first)) => Ok(first),
             _ => {
                 let names: Vec<&str> = offered.iter().map(|media| media.name()).collect();
                 let error = ServiceError::invalid("accept", format!("this answers {}", names.join(", ")));
-                Err(Refusal::with(StatusCode::NOT_ACCEPTABLE, error))
+                Err(ErrorResponse::with(StatusCode::NOT_ACCEPTABLE, error))
             }
         }
     }
 
-    /// What the request's body is; JSON if there is none.
+    /// The type of the request's body; JSON if there is no body.
     ///
     /// # Errors
     /// 415 for a type other than those of arrays.
@@ -131,11 +131,11 @@ impl Media {
 }
 
 /// 415.
-pub fn unsupported(why: &str) -> Refusal {
-    Refusal::with(StatusCode::UNSUPPORTED_MEDIA_TYPE, ServiceError::invalid("content-type", why))
+pub fn unsupported(why: &str) -> ErrorResponse {
+    ErrorResponse::with(StatusCode::UNSUPPORTED_MEDIA_TYPE, ServiceError::invalid("content-type", why))
 }
 
-/// No byte of a body for so long, and it is given up.
+/// A body is abandoned after this time without a byte.
 const STALLED: Duration = Duration::from_secs(30);
 
 /// The announced length of a body.
@@ -150,9 +150,9 @@ pub fn length(headers: &HeaderMap, limit: u64) -> Answer<Option<u64>> {
     }
 }
 
-fn too_large(limit: u64) -> Refusal {
+fn too_large(limit: u64) -> ErrorResponse {
     let error = ServiceError::invalid("body", format!("is longer than the limit of {limit} bytes"));
-    Refusal::with(StatusCode::PAYLOAD_TOO_LARGE, error)
+    ErrorResponse::with(StatusCode::PAYLOAD_TOO_LARGE, error)
 }
 
 /// A body, piece by piece.
@@ -164,13 +164,13 @@ pub struct Chunks {
 }
 
 impl Chunks {
-    /// Of `most` bytes at most.
+    /// Chunks of `most` bytes at most.
     pub fn new(body: Body, most: usize) -> Self {
         Self { body, rest: Bytes::new(), most, silence: Box::pin(tokio::time::sleep(STALLED)) }
     }
 }
 
-/// Fails if the client goes away or falls silent.
+/// Fails if the client disconnects or stalls.
 impl Stream for Chunks {
     type Item = Answer<Bytes>;
 
@@ -194,14 +194,14 @@ impl Stream for Chunks {
                 Poll::Pending => {
                     let message = format!("no byte of the body came for {} s", STALLED.as_secs());
                     let error = ServiceError::new(Code::DeadlineExceeded, message);
-                    return Poll::Ready(Some(Err(Refusal::with(StatusCode::REQUEST_TIMEOUT, error))));
+                    return Poll::Ready(Some(Err(ErrorResponse::with(StatusCode::REQUEST_TIMEOUT, error))));
                 }
             }
         }
     }
 }
 
-/// The whole body, of `limit` bytes at most. Memory grows with what has come, not with what is announced.
+/// The whole body, `limit` bytes at most. Memory grows with the bytes received, not with the announced length.
 ///
 /// # Errors
 /// 413 beyond the limit.
@@ -222,17 +222,17 @@ pub async fn read(headers: &HeaderMap, body: Body, limit: usize) -> Answer<Bytes
     Err(too_large(limit as u64))
 }
 
-/// Reads a JSON document; the path of what does not fit is named. An empty body is an empty document.
+/// Reads a JSON document. An empty body is an empty document.
 ///
 /// # Errors
-/// `InvalidArgument`.
+/// `InvalidArgument` naming the path of the fault.
 pub fn json<T: de::DeserializeOwned>(body: &Bytes) -> Answer<T> {
     let text: &[u8] = if body.is_empty() { b"{}" } else { body };
     let mut reader = serde_json::Deserializer::from_slice(text);
     let document = serde_path_to_error::deserialize(&mut reader).map_err(|error| {
         let path = error.path().to_string();
         let field = match path.as_str() {
-            // A text that ends too early has a path that is not known.
+            // A truncated text has an unknown path.
             "." | "?" => "body".to_owned(),
             list if list.starts_with('[') => format!("body{list}"),
             _ => path,
@@ -243,8 +243,8 @@ pub fn json<T: de::DeserializeOwned>(body: &Bytes) -> Answer<T> {
     Ok(document)
 }
 
-/// The arrays of a binary body, by name: all of a .npz file, or the one called `main`. `shape` is that of plain bytes, by
-/// default all in one dimension.
+/// The arrays of a binary body, by name: all of a .npz file, or one called `main`. `shape` is the shape of plain bytes, by
+/// default one-dimensional.
 ///
 /// # Errors
 /// `InvalidArgument` naming the array.
@@ -273,8 +273,8 @@ pub fn arrays(
     Ok(vec![(main.to_owned(), Array { dtype: DataType::Float64.into(), shape, data: body })])
 }
 
-/// An answer as a document, as its main array, or as all of them. `take` takes the arrays out of it, each with its name, the
-/// main one first; `headers` are for where only that one travels.
+/// An answer as a document, as its main array, or as all its arrays. `take` removes the arrays from it, each with its name,
+/// the main one first; `headers` carry the rest of a binary answer.
 ///
 /// # Errors
 /// If there is no array to send.
@@ -312,7 +312,7 @@ pub fn reply<R: Serialize>(
     Ok(response)
 }
 
-/// One array as .npy or plain bytes, in parts that are not copied.
+/// One array as .npy or plain bytes, in parts, without copying.
 pub fn binary(
     media: Media,
     dtype: DataType,
@@ -345,7 +345,7 @@ pub fn set_array_headers(headers: &mut HeaderMap, media: Media, shape: &[u64], l
 /// A JSON document.
 ///
 /// # Errors
-/// If it cannot be written.
+/// If it cannot be serialised.
 pub fn document(status: StatusCode, document: &impl Serialize) -> Answer<Response> {
     let mut response = Response::new(Body::from(text(document)?));
     *response.status_mut() = status;
@@ -360,7 +360,7 @@ fn text(document: &impl Serialize) -> Answer<String> {
     })
 }
 
-/// Describes a body that is no text.
+/// Describes a binary body.
 pub struct Binary;
 
 impl utoipa::PartialSchema for Binary {
@@ -380,7 +380,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_best_type_that_both_know_is_taken() {
+    fn the_best_common_type_is_chosen() {
         let accepted = |value: &'static str| {
             let headers = [(header::ACCEPT, HeaderValue::from_static(value))].into_iter().collect();
             Media::accepted(&headers, &ARRAYS).ok()
@@ -405,8 +405,8 @@ mod tests {
             design: Option<Array>,
         }
         let fault = |text: &'static str| {
-            let refused = json::<Document>(&Bytes::from_static(text.as_bytes())).unwrap_err();
-            serde_json::to_value(refused.problem()).unwrap()["violations"][0]["field"].clone()
+            let error = json::<Document>(&Bytes::from_static(text.as_bytes())).unwrap_err();
+            serde_json::to_value(error.problem()).unwrap()["violations"][0]["field"].clone()
         };
         assert!(json::<Document>(&Bytes::new()).is_ok());
         assert_eq!(fault("{\"design\": [1, \"a\"]}"), "design[1]");

@@ -7,14 +7,14 @@ use metrics_exporter_prometheus::{PrometheusBuilder, PrometheusHandle};
 
 use crate::observe::names;
 
-/// Upper ends of the histograms' buckets, seconds: a round trip without work to the longest set-up.
+/// Upper bounds of the histograms' buckets, s: from a round trip without work to the longest set-up.
 const BUCKETS: [f64; 16] =
     [0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 30.0, 100.0, 300.0];
 
-/// Starts counting, once a process.
+/// Installs the metrics recorder, once per process.
 ///
 /// # Errors
-/// If something else counts already.
+/// If another recorder is installed.
 pub fn start() -> Result<PrometheusHandle, String> {
     static HANDLE: OnceLock<Result<PrometheusHandle, String>> = OnceLock::new();
     HANDLE
@@ -36,7 +36,7 @@ pub fn start() -> Result<PrometheusHandle, String> {
         .clone()
 }
 
-/// Sorts samples into their buckets from time to time, so that they do not pile up where nobody asks for them.
+/// Sorts samples into their buckets periodically, so that they do not pile up if /metrics is never read.
 pub async fn upkeep(handle: PrometheusHandle) {
     let mut interval = tokio::time::interval(Duration::from_secs(5));
     loop {

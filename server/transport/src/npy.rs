@@ -1,24 +1,24 @@
-//! Arrays as numpy saves them: .npy, and .npz for several.
+//! NumPy's file formats: .npy for one array, .npz for several.
 //!
 //! A .npy file is `\x93NUMPY`, a version, the length of a header, the header (a Python dictionary with `descr`,
-//! `fortran_order` and `shape`), and the elements. A .npz file is a zip archive of them.
+//! `fortran_order` and `shape`), and the elements. A .npz file is a zip archive of .npy files.
 
 use std::io::{Cursor, Read, Write};
 
 use bytes::Bytes;
+use moldline_host::ServiceError;
 use moldline_proto::v1::{Array, DataType};
-use moldline_service::ServiceError;
 use zip::{CompressionMethod, ZipArchive, ZipWriter, write::SimpleFileOptions};
 
 const MAGIC: &[u8; 6] = b"\x93NUMPY";
-/// Longest header that is read; ours and numpy's own are a fiftieth of it.
+/// Longest accepted header; ours and numpy's are a fiftieth of it.
 const HEADER: usize = 10_000;
-/// Most dimensions that are read.
+/// Most accepted dimensions.
 const DIMENSIONS: usize = 8;
-/// Most arrays in a .npz file that are read.
+/// Most accepted arrays in a .npz file.
 const MEMBERS: usize = 1000;
 
-/// What precedes the elements of an array of that shape.
+/// The bytes that precede the elements of an array of that shape.
 pub fn header(dtype: DataType, shape: &[u64]) -> Vec<u8> {
     let descr = match dtype {
         DataType::Uint32 => "<u4",
@@ -26,10 +26,10 @@ pub fn header(dtype: DataType, shape: &[u64]) -> Vec<u8> {
         DataType::Float64 | DataType::Unspecified => "<f8",
     };
     let extents: String = shape.iter().map(|extent| format!("{extent}, ")).collect();
-    // A tuple of one keeps its comma.
+    // A tuple of one element keeps its comma.
     let extents = if shape.len() == 1 { extents.trim_end() } else { extents.trim_end_matches(", ") };
     let mut dictionary = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({extents}), }}");
-    // Elements begin at a multiple of 64 bytes.
+    // The elements start at a multiple of 64 bytes.
     const FIXED: usize = MAGIC.len() + 4;
     let end = (FIXED + dictionary.len() + 1).next_multiple_of(64);
     dictionary.extend(std::iter::repeat_n(' ', end - FIXED - dictionary.len() - 1));
@@ -41,10 +41,10 @@ pub fn header(dtype: DataType, shape: &[u64]) -> Vec<u8> {
     bytes
 }
 
-/// Reads a .npy file of float64 in C order, the only kind that requests have. The elements are not copied.
+/// Reads a .npy file of float64 in C order, the only kind accepted in requests. The elements are not copied.
 ///
 /// # Errors
-/// `InvalidArgument` for `field`: not such a file, another type or order, or more or fewer elements than the shape says.
+/// `InvalidArgument` for `field`: not a .npy file, another type or order, or a number of elements that differs from the shape.
 pub fn read(field: &str, file: &Bytes) -> Result<Array, ServiceError> {
     let wrong =
         |what: &str| ServiceError::invalid(field, format!("is not a .npy file that can be read: {what}"));
@@ -87,7 +87,7 @@ struct Header<'a> {
     shape: Vec<u64>,
 }
 
-/// Reads the header's dictionary: the three keys in any order.
+/// Parses the header's dictionary: the three keys in any order.
 fn parse(text: &str) -> Result<Header<'_>, &'static str> {
     let (mut descr, mut fortran_order, mut shape) = (None, None, None);
     let text = text.trim();
@@ -133,7 +133,7 @@ fn parse(text: &str) -> Result<Header<'_>, &'static str> {
     }
 }
 
-/// A quoted string without escapes, and what follows it.
+/// A quoted string without escapes, and the text after it.
 fn quoted(text: &str) -> Option<(&str, &str)> {
     let quote = text.chars().next().filter(|quote| matches!(quote, '\'' | '"'))?;
     text[1..].split_once(quote)
@@ -151,13 +151,13 @@ fn extents(inner: &str) -> Result<Vec<u64>, &'static str> {
     extents.collect::<Result<_, _>>().map_err(|_| "`shape` has an extent that is not a number")
 }
 
-/// A .npz file, not compressed: arrays by name, and a text file `info.json`.
+/// An uncompressed .npz file: arrays by name, and a text file `info.json`.
 ///
 /// # Errors
 /// If the archive cannot hold them.
 pub fn write_npz(arrays: &[(String, Array)], info: &str) -> Result<Vec<u8>, ServiceError> {
     let failed = |error: &dyn std::error::Error| {
-        ServiceError::new(moldline_service::Code::Internal, format!("cannot make the .npz file: {error}"))
+        ServiceError::new(moldline_host::Code::Internal, format!("cannot make the .npz file: {error}"))
     };
     let bytes = arrays.iter().map(|(_, array)| array.data.len() + 512).sum::<usize>();
     let mut archive = ZipWriter::new(Cursor::new(Vec::with_capacity(bytes + info.len())));
@@ -200,7 +200,7 @@ pub fn read_npz(file: Bytes, limit: usize) -> Result<Vec<(String, Array)>, Servi
             let name: String = name.chars().take(64).collect();
             return Err(ServiceError::invalid("body", format!("`{name}` in it is not a .npy file")));
         };
-        // What the directory says of the size need not be true: reading stops at the limit.
+        // The size in the directory may be false: reading stops at the limit.
         let mut data = Vec::with_capacity(member.size().min(left) as usize);
         let read = member.take(left + 1).read_to_end(&mut data);
         read.map_err(|error| ServiceError::invalid(&name, format!("cannot be unpacked: {error}")))?;
@@ -246,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_is_read_again() {
+    fn written_arrays_are_read_back() {
         for shape in [&[][..], &[0], &[7], &[2, 3], &[1, 2, 3], &[1, 1, 1, 1, 1, 1, 1, 2]] {
             let array = numbers(shape);
             let bytes = [header(DataType::Float64, shape), array.data.to_vec()].concat();
@@ -255,7 +255,7 @@ mod tests {
         let arrays =
             vec![("a".to_owned(), numbers(&[2, 3])), ("control_points.wing".to_owned(), numbers(&[4]))];
         let packed = Bytes::from(write_npz(&arrays, "{}").unwrap());
-        // What is not an array is for people, and not taken back.
+        // `info.json` is for people, and not accepted in requests.
         let error = read_npz(packed.clone(), 1 << 20).unwrap_err();
         assert!(error.message.contains("info.json"), "{error}");
         let mut archive = ZipArchive::new(Cursor::new(packed)).unwrap();
@@ -267,7 +267,7 @@ mod tests {
     }
 
     #[test]
-    fn headers_that_do_not_fit_are_refused() {
+    fn invalid_headers_are_rejected() {
         let field = |bytes: Bytes| read("x", &bytes).unwrap_err().violations[0].field.clone();
         let data = [0_u8; 16];
         let good = "{'descr': '<f8', 'fortran_order': False, 'shape': (2,)}";
@@ -304,7 +304,7 @@ mod tests {
     }
 
     #[test]
-    fn archives_that_unpack_to_more_than_the_limit_are_refused() {
+    fn archives_beyond_the_limit_are_rejected() {
         let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
         let options = SimpleFileOptions::default().compression_method(CompressionMethod::Deflated);
         archive.start_file("design.npy", options).unwrap();

@@ -1,6 +1,6 @@
-//! What is seen of every request: an id, a span, a line in the log, numbers for /metrics.
+//! Observation of every request: id, tracing span, log line and metrics.
 //!
-//! A request is over when the last byte of its answer has left, or its client has gone.
+//! A request ends when the last byte of its answer is sent, or its client disconnects.
 
 use std::{
     pin::Pin,
@@ -17,38 +17,38 @@ use axum::{
 };
 use http_body::{Body as _, Frame, SizeHint};
 use metrics::{counter, gauge, histogram};
-use moldline_service::Code;
+use moldline_host::Code;
 use tracing::{Instrument, Span, field::Empty};
 use uuid::Uuid;
 
-use crate::{code::grpc_name, refusal::is_grpc};
+use crate::{code::grpc_name, error_response::is_grpc};
 
-/// Names a request in logs; a client may choose it, and gets it back.
+/// Header of the request id in logs. A client may choose it; the answer repeats it.
 pub const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 
 /// Names of metrics.
 pub mod names {
-    /// Requests that are over, by rpc, transport and code.
+    /// Completed requests, by rpc, transport and code.
     pub const REQUESTS: &str = "moldline_requests_total";
-    /// Seconds from a request's arrival to the end of its answer, by rpc and transport.
+    /// Time from a request's arrival to the end of its answer, s, by rpc and transport.
     pub const SECONDS: &str = "moldline_request_duration_seconds";
-    /// Requests under way, by transport.
+    /// Requests in progress, by transport.
     pub const IN_FLIGHT: &str = "moldline_requests_in_flight";
 }
 
-/// What a request asked for, in the extensions of its answer: the name of the RPC, the same on all transports.
+/// Name of the RPC, the same on all transports, in the extensions of an answer.
 #[derive(Clone, Debug)]
 pub struct Rpc(pub String);
 
-/// Tells a new span of the request where it comes from.
+/// Links the new span of a request to the trace in its headers.
 pub type Trace = fn(&Span, &HeaderMap);
 
-/// Gives the request an id and a span, and watches its answer to the end.
+/// Gives the request an id and a span, and observes its answer to the end.
 pub async fn layer(State(trace): State<Trace>, mut request: Request, next: Next) -> Response {
     let start = Instant::now();
     let id = request_id(request.headers());
     let transport = if is_grpc(request.headers()) { "grpc" } else { "http" };
-    // At the level of errors, so that a log of errors alone still says of which request.
+    // At level `error`, so that a log of errors alone still names the request.
     let span = tracing::error_span!(
         "request",
         otel.name = Empty,
@@ -71,7 +71,7 @@ pub async fn layer(State(trace): State<Trace>, mut request: Request, next: Next)
     response.headers_mut().insert(REQUEST_ID, id);
     let status = response.status();
     let grpc = response.headers().get("grpc-status").and_then(grpc_code);
-    // Names that nobody serves would fill the memory.
+    // Arbitrary unknown names would fill the memory.
     if let Some(Rpc(name)) = response.extensions_mut().remove::<Rpc>()
         && grpc != Some(tonic::Code::Unimplemented)
     {
@@ -87,7 +87,7 @@ pub async fn layer(State(trace): State<Trace>, mut request: Request, next: Next)
     response.map(|inner| Body::new(Observed { inner, left, watch: Some(watch) }))
 }
 
-/// The client's id if it is short and plain, or a new one.
+/// The client's request id if it is short and plain, or a new one.
 fn request_id(headers: &HeaderMap) -> HeaderValue {
     let plain = |value: &&HeaderValue| {
         (1..=64).contains(&value.len())
@@ -99,7 +99,7 @@ fn request_id(headers: &HeaderMap) -> HeaderValue {
     })
 }
 
-/// Probes come all the time and say nothing.
+/// Probes, which are frequent, are not logged.
 fn quiet(path: &str) -> bool {
     matches!(path, "/healthz" | "/readyz" | "/metrics") || path.starts_with("/grpc.health.")
 }
@@ -132,7 +132,7 @@ impl Drop for InFlight {
     }
 }
 
-/// A request under way; dropped without an end, its client has gone.
+/// A request in progress; if it is dropped before its end, the client has disconnected.
 struct Watch {
     start: Instant,
     span: Span,
@@ -162,7 +162,7 @@ impl Watch {
     }
 }
 
-/// The body of an answer, to the end of which it is watched.
+/// The body of an answer, observed to its end.
 struct Observed {
     inner: Body,
     /// Bytes to come, where that is known.
@@ -219,7 +219,7 @@ impl http_body::Body for Observed {
 
 impl Drop for Observed {
     fn drop(&mut self) {
-        // A body whose length is known is not asked again when it has been sent.
+        // A body of known length is not polled again after its last byte.
         let Some(watch) = self.watch.take() else { return };
         if self.inner.is_end_stream() || self.left == Some(0) {
             watch.end(watch.code.unwrap_or("OK"));

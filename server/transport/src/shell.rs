@@ -1,7 +1,7 @@
-//! What is around a service on a port: everything that does not depend on what it does.
+//! The router around a service: everything that does not depend on what the service does.
 //!
 //! ```text
-//! request -> id, span, metrics -> deadline -> route -> credential -> handler (gRPC or HTTP) -> answer watched to its end
+//! request -> id, span, metrics -> deadline -> route -> credential -> handler (gRPC or HTTP) -> answer observed to its end
 //! ```
 
 use std::{collections::HashMap, pin::Pin, sync::Arc, time::Duration};
@@ -15,7 +15,7 @@ use axum::{
     routing::get,
 };
 use metrics_exporter_prometheus::PrometheusHandle;
-use moldline_service::{Code, ServiceError};
+use moldline_host::{Code, ServiceError};
 use tonic::service::Routes;
 use tonic_web::GrpcWebLayer;
 use tower_http::cors::{AllowOrigin, CorsLayer};
@@ -25,42 +25,42 @@ use utoipa_axum::router::OpenApiRouter;
 use crate::{
     access::{self, Access},
     deadline,
+    error_response::{ErrorResponse, is_grpc, reject},
     health::Health,
     media::SHAPE,
     observe::{self, REQUEST_ID, Rpc, Trace},
-    refusal::{Refusal, is_grpc, refuse},
 };
 
-/// A service as it is seen on a port.
+/// The routes of a service.
 pub struct Served {
-    /// HTTP routes with their description. Callers are asked who they are.
+    /// HTTP routes with their description, behind authentication.
     pub http: OpenApiRouter,
-    /// gRPC services, whose callers are asked too.
+    /// gRPC services behind authentication.
     pub grpc: Routes,
-    /// gRPC services for everybody: health, reflection.
+    /// gRPC services without authentication: health, reflection.
     pub open: Routes,
 }
 
-/// Sets the gauges of /metrics to what they are now.
+/// Updates the gauges of /metrics.
 pub type Gauges = Arc<dyn Fn() -> Pin<Box<dyn Future<Output = ()> + Send>> + Send + Sync>;
 
-/// What the machinery around a service needs to know.
+/// Configuration of the router around a service.
 pub struct Surroundings {
-    /// Who is let in.
+    /// Authentication.
     pub access: Arc<Access>,
-    /// What probes are told.
+    /// State of the probes.
     pub health: Health,
-    /// What was counted.
+    /// The metrics.
     pub metrics: PrometheusHandle,
-    /// What is counted when somebody asks.
+    /// Gauges, updated whenever /metrics is read.
     pub gauges: Gauges,
-    /// Where a span comes from.
+    /// Link from a span to the caller's trace.
     pub trace: Trace,
-    /// Origins of web pages that may call.
+    /// Origins of web pages that may call (CORS).
     pub origins: Vec<HeaderValue>,
 }
 
-/// Everything that is served on the port.
+/// The router of everything on the port.
 pub fn router(served: Served, surroundings: Surroundings) -> Router {
     let Surroundings { access, health, metrics, gauges, trace, origins } = surroundings;
     let (http, openapi) = served.http.split_for_parts();
@@ -71,14 +71,14 @@ pub fn router(served: Served, surroundings: Surroundings) -> Router {
         gauges().await;
         ([(header::CONTENT_TYPE, "text/plain; version=0.0.4")], metrics.render())
     };
-    let ask = middleware::from_fn_with_state(access, access::layer);
+    let authenticate = middleware::from_fn_with_state(access, access::layer);
     let administrators =
         Router::new().route("/metrics", get(scrape)).route_layer(middleware::from_fn(access::administrators));
     let http = http
         .merge(administrators)
-        .route_layer(ask.clone())
+        .route_layer(authenticate.clone())
         .route_layer(middleware::from_fn_with_state(operations, name_http));
-    let grpc = only_routes(served.grpc).route_layer(ask).merge(only_routes(served.open));
+    let grpc = only_routes(served.grpc).route_layer(authenticate).merge(only_routes(served.open));
     let grpc = grpc.layer(GrpcWebLayer::new()).route_layer(middleware::from_fn(name_grpc));
     let open = Router::new()
         .route("/healthz", get(|| async { "alive\n" }))
@@ -97,12 +97,12 @@ pub fn router(served: Served, surroundings: Surroundings) -> Router {
     router.layer(middleware::from_fn_with_state(trace, observe::layer))
 }
 
-/// The services' routes without tonic's answer to all others.
+/// The services' routes without tonic's fallback.
 fn only_routes(routes: Routes) -> Router {
     routes.into_axum_router().reset_fallback()
 }
 
-/// Names of the operations, by method and path.
+/// Operation ids by method and path.
 fn operations(openapi: &OpenApi) -> HashMap<(String, String), String> {
     let mut names = HashMap::new();
     for (path, item) in &openapi.paths.paths {
@@ -159,19 +159,19 @@ async fn unknown(request: Request) -> Response {
     if is_grpc(request.headers()) {
         return tonic::Status::unimplemented("there is no such method").into_http();
     }
-    refuse(false, ServiceError::new(Code::NotFound, "there is nothing at this path; /docs has what there is"))
+    reject(false, ServiceError::new(Code::NotFound, "there is nothing at this path; /docs lists the paths"))
 }
 
 async fn method_not_allowed(request: Request) -> Response {
     if is_grpc(request.headers()) {
         return tonic::Status::unimplemented("there is no such method").into_http();
     }
-    let message = format!("{} is not for this path; /docs has what is", request.method());
+    let message = format!("{} is not allowed for this path; /docs lists the methods", request.method());
     let error = ServiceError::new(Code::InvalidArgument, message);
-    Refusal::with(StatusCode::METHOD_NOT_ALLOWED, error).into_response()
+    ErrorResponse::with(StatusCode::METHOD_NOT_ALLOWED, error).into_response()
 }
 
-/// Pages of these origins may call, and read what is in headers.
+/// Lets pages of these origins call, and read the headers of answers.
 fn cors(origins: Vec<HeaderValue>) -> CorsLayer {
     let exposed = [
         "grpc-status",

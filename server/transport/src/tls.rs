@@ -1,12 +1,12 @@
-//! TLS, and what a client's certificate says of its bearer.
+//! TLS, and principals from client certificates.
 //!
-//! A certificate that the clients' authority has signed names its tenant in one of two ways:
+//! A certificate signed by the clients' authority names its tenant in one of two ways:
 //! - a subject alternative name of kind URI, `moldline://TENANT/ROLE`, with the role `reader`, `user` or `admin`;
 //! - otherwise, the subject's common name is the tenant, and the role is `user`.
 
 use std::{path::Path, sync::Arc};
 
-use moldline_service::{Principal, Role, Tenant};
+use moldline_host::{Principal, Role, Tenant};
 use tokio_rustls::{
     TlsAcceptor,
     rustls::{
@@ -18,9 +18,7 @@ use tokio_rustls::{
 };
 use x509_parser::{extensions::GeneralName, prelude::FromDer};
 
-use crate::access;
-
-/// Why there is no TLS.
+/// An unusable certificate or key file.
 #[derive(Debug, thiserror::Error)]
 #[error("{}: {reason}", path.display())]
 pub struct TlsError {
@@ -28,23 +26,23 @@ pub struct TlsError {
     reason: String,
 }
 
-/// Certificate, key and the authority of the clients, as PEM files.
+/// PEM files of certificate, key and client authority.
 #[derive(Clone, Copy, Debug)]
 pub struct TlsFiles<'a> {
-    /// The server's certificate, followed by those that lead to its authority.
+    /// The server's certificate chain, its own certificate first.
     pub certificate: &'a Path,
     /// Its private key.
     pub key: &'a Path,
-    /// Authorities that sign client certificates.
+    /// The authorities that sign client certificates.
     pub client_authority: Option<&'a Path>,
-    /// Whether a client may come without one.
+    /// Whether clients without a certificate are accepted.
     pub client_optional: bool,
 }
 
 /// TLS with HTTP/2 and HTTP/1.1.
 ///
 /// # Errors
-/// If a file cannot be read, or does not hold what it should.
+/// If a file cannot be read or has invalid content.
 pub fn acceptor(files: TlsFiles<'_>) -> Result<TlsAcceptor, TlsError> {
     let failed = |path: &Path, error: &dyn std::fmt::Display| TlsError {
         path: path.to_owned(),
@@ -86,7 +84,7 @@ fn certificates(path: &Path) -> Result<Vec<CertificateDer<'static>>, TlsError> {
     }
 }
 
-/// Whom a certificate names; `None` if it names no tenant.
+/// The principal that a certificate names; `None` if it names no tenant.
 pub fn principal(certificate: &CertificateDer<'_>) -> Option<Principal> {
     let (_, certificate) = x509_parser::certificate::X509Certificate::from_der(certificate).ok()?;
     let names = certificate.subject_alternative_name().ok().flatten();
@@ -97,7 +95,7 @@ pub fn principal(certificate: &CertificateDer<'_>) -> Option<Principal> {
     let (tenant, role) = match uri {
         Some(uri) => {
             let (tenant, role) = uri.split_once('/')?;
-            (tenant, access::role(role)?)
+            (tenant, Role::named(role)?)
         }
         None => (certificate.subject().iter_common_name().next()?.as_str().ok()?, Role::User),
     };
@@ -123,7 +121,7 @@ mod tests {
         assert_eq!(named("anna", None), Some(("anna".to_owned(), Role::User)));
         assert_eq!(named("x", Some("moldline://bert/reader")), Some(("bert".to_owned(), Role::Reader)));
         assert_eq!(named("anna", Some("https://example.org")), Some(("anna".to_owned(), Role::User)));
-        // What it claims in vain is not made up for by the common name.
+        // An invalid URI is not replaced by the common name.
         assert_eq!(named("anna", Some("moldline://bert/king")), None);
         assert_eq!(named("anna", Some("moldline://bert")), None);
         assert_eq!(named("Anna Smith", None), None);

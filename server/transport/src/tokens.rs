@@ -1,8 +1,8 @@
 //! Bearer tokens: a file that holds their hashes, never the tokens.
 //!
-//! A token is `moldline_ID_SECRET`. The secret has 256 random bits, so a fast hash protects it. The file is JSON, made anew
-//! and renamed at every change, under a lock. A server looks at it at every request and reads it again when it changed: a
-//! token that is revoked is refused from then on.
+//! A token is `moldline_ID_SECRET`. The secret has 256 random bits, so a fast hash protects it. The file is JSON, rewritten
+//! and renamed at every change, under a lock. A server checks it at every request and reads it again when it has changed: a
+//! revoked token is rejected from then on.
 
 use std::{
     fs::{self, File, OpenOptions},
@@ -12,10 +12,8 @@ use std::{
     time::{Duration, SystemTime, UNIX_EPOCH},
 };
 
-use moldline_service::{Principal, Tenant};
+use moldline_host::{Principal, Role, Tenant};
 use serde::{Deserialize, Serialize};
-
-use crate::access::role;
 
 const PREFIX: &str = "moldline_";
 const FORMAT: u32 = 1;
@@ -26,49 +24,49 @@ pub enum TokenFileError {
     /// It cannot be read or written.
     #[error("{}: {error}", path.display())]
     File {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// Why.
+        /// The reason.
         error: io::Error,
     },
     /// It is not a token file.
     #[error("{}: {reason}", path.display())]
     Content {
-        /// Which.
+        /// Path of the file.
         path: PathBuf,
-        /// Why.
+        /// The reason.
         reason: String,
     },
-    /// The system gives no random numbers.
+    /// The system provides no random numbers.
     #[error("no random numbers: {0}")]
     Random(getrandom::Error),
     /// There is no such token.
-    #[error("there is no token `{0}`; `moldline token list` has those that there are")]
+    #[error("there is no token `{0}`; `moldline token list` lists the tokens")]
     Unknown(String),
 }
 
-/// Why a token is refused.
+/// Why a token is rejected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Refused {
-    /// It is none of the file's.
+pub enum InvalidToken {
+    /// It is not in the file.
     Unknown,
-    /// Its time is over.
+    /// It has expired.
     Expired,
 }
 
-/// What the file knows of a token.
+/// The entry of a token in the file.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Token {
-    /// Names it in lists and when it is revoked; not secret.
+    /// Identifies it in lists and for revocation; not secret.
     pub id: String,
-    /// Whose it is.
+    /// Its owner.
     pub tenant: String,
-    /// What it allows.
+    /// Its permissions.
     pub role: String,
-    /// When it was made, in seconds since 1970.
+    /// Time of creation, seconds since 1970.
     pub created: u64,
-    /// When it ends, in seconds since 1970.
+    /// Time of expiry, seconds since 1970.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub expires: Option<u64>,
     /// Digest of the whole token.
@@ -89,7 +87,7 @@ pub struct TokenFile {
     known: Mutex<Known>,
 }
 
-/// What was read last, and how the file looked then.
+/// The content read last, and the state of the file then.
 #[derive(Debug, Default)]
 struct Known {
     stamp: Option<Stamp>,
@@ -100,7 +98,7 @@ struct Known {
 struct Stamp {
     modified: Option<SystemTime>,
     length: u64,
-    /// A file that takes the place of another is another one.
+    /// Changes when another file replaces it.
     inode: u64,
 }
 
@@ -116,7 +114,7 @@ impl Stamp {
 }
 
 impl TokenFile {
-    /// The file at `path`, which has to be there.
+    /// The file at `path`, which must exist.
     ///
     /// # Errors
     /// If it cannot be read, or is not a token file.
@@ -128,21 +126,21 @@ impl TokenFile {
         Ok(file)
     }
 
-    /// Who a token is.
+    /// The principal of a token.
     ///
     /// # Errors
-    /// If it is none of the file's, or its time is over.
-    pub fn principal(&self, token: &str) -> Result<Principal, Refused> {
+    /// If it is not in the file, or has expired.
+    pub fn principal(&self, token: &str) -> Result<Principal, InvalidToken> {
         let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
         if let Err(error) = self.refresh(&mut known) {
-            // Whoever could make the file unreadable for a moment must not open or close the server by it.
+            // A file that is unreadable for a moment must neither open nor close the server.
             tracing::error!(%error, "cannot read the token file; the tokens read last stay in force");
         }
         let hash = blake3::hash(token.as_bytes());
-        // Comparison of hashes takes the same time wherever they differ.
-        let found = known.tokens.iter().find(|(other, ..)| *other == hash).ok_or(Refused::Unknown)?;
+        // Hashes are compared in constant time.
+        let found = known.tokens.iter().find(|(other, ..)| *other == hash).ok_or(InvalidToken::Unknown)?;
         match found.1 {
-            Some(end) if end <= now() => Err(Refused::Expired),
+            Some(end) if end <= now() => Err(InvalidToken::Expired),
             _ => Ok(found.2.clone()),
         }
     }
@@ -158,7 +156,7 @@ impl TokenFile {
             let hash = blake3::Hash::from_hex(&token.hash)
                 .map_err(|error| content(format!("hash of token `{}`: {error}", token.id)))?;
             let tenant = Tenant::new(&token.tenant).map_err(|error| content(error.to_string()))?;
-            let role = role(&token.role)
+            let role = Role::named(&token.role)
                 .ok_or_else(|| content(format!("role `{}` of token `{}`", token.role, token.id)))?;
             tokens.push((hash, token.expires, Principal { tenant, role }));
         }
@@ -167,7 +165,7 @@ impl TokenFile {
     }
 }
 
-/// Makes a token, adds it to the file, which is made if it is not there, and returns it: the only time that it is seen.
+/// Creates a token, adds it to the file, which is created if it is missing, and returns it: the only time that it is visible.
 ///
 /// # Errors
 /// If the file cannot be changed.
@@ -203,10 +201,10 @@ pub fn list(path: &Path) -> Result<Vec<Token>, TokenFileError> {
     read(path)
 }
 
-/// Takes a token out of the file.
+/// Removes a token from the file.
 ///
 /// # Errors
-/// If it is not in it, or the file cannot be changed.
+/// If the token is not in it, or the file cannot be changed.
 pub fn revoke(path: &Path, id: &str) -> Result<(), TokenFileError> {
     change(path, |tokens| {
         let before = tokens.len();
@@ -230,7 +228,7 @@ fn read(path: &Path) -> Result<Vec<Token>, TokenFileError> {
     Ok(document.tokens)
 }
 
-/// Changes the file as a whole: others see it as it was, or as it is then.
+/// Replaces the file atomically: others see it either before or after the change.
 fn change(
     path: &Path,
     change: impl FnOnce(&mut Vec<Token>) -> Result<(), TokenFileError>,
@@ -266,7 +264,7 @@ fn change(
     write().map_err(failed)
 }
 
-/// A file that its owner alone reads.
+/// A file that only its owner can read.
 fn private() -> OpenOptions {
     let mut options = OpenOptions::new();
     options.create(true).write(true);
@@ -281,8 +279,6 @@ fn file_error(path: &Path, error: io::Error) -> TokenFileError {
 
 #[cfg(test)]
 mod tests {
-    use moldline_service::Role;
-
     use super::*;
 
     fn principal(tenant: &str, role: Role) -> Principal {
@@ -297,17 +293,17 @@ mod tests {
         let first = create(&path, &anna, None).unwrap();
         let file = TokenFile::open(&path).unwrap();
         assert_eq!(file.principal(&first), Ok(anna));
-        // One that is made while the server runs.
+        // Created while the server runs.
         let bert = principal("bert", Role::Reader);
         let second = create(&path, &bert, Some(Duration::from_secs(1000))).unwrap();
         assert_eq!(file.principal(&second), Ok(bert));
-        assert_eq!(file.principal(&second[..second.len() - 1]), Err(Refused::Unknown));
-        assert_eq!(file.principal(""), Err(Refused::Unknown));
+        assert_eq!(file.principal(&second[..second.len() - 1]), Err(InvalidToken::Unknown));
+        assert_eq!(file.principal(""), Err(InvalidToken::Unknown));
         let listed = list(&path).unwrap();
         assert_eq!(listed.len(), 2);
         assert_eq!(listed[1].expires, Some(listed[1].created + 1000));
         revoke(&path, &listed[0].id).unwrap();
-        assert_eq!(file.principal(&first), Err(Refused::Unknown));
+        assert_eq!(file.principal(&first), Err(InvalidToken::Unknown));
         assert!(file.principal(&second).is_ok());
         assert!(matches!(revoke(&path, &listed[0].id), Err(TokenFileError::Unknown(_))));
     }
@@ -332,7 +328,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("tokens.json");
         let token = create(&path, &principal("anna", Role::User), Some(Duration::ZERO)).unwrap();
-        assert_eq!(TokenFile::open(&path).unwrap().principal(&token), Err(Refused::Expired));
+        assert_eq!(TokenFile::open(&path).unwrap().principal(&token), Err(InvalidToken::Expired));
     }
 
     #[test]

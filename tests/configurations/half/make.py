@@ -1,4 +1,4 @@
-"""A half model, open at the symmetry plane, of patches such as other programs write them; quads and triangles.
+"""A half model, open at the symmetry plane, of patches as other programs write them; quads and triangles.
 
     python make.py        writes geometry/*.json and mesh.msh (MSH 2.2) beside this file
 
@@ -12,6 +12,7 @@ The components are whole; the mesh is the starboard half of their union.
 
 import json
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -72,10 +73,19 @@ def wing():
     for y, x, z, chord, twist, thickness in stations:
         angle = np.radians(twist)
         px, pz = (profile[:, 0] - 0.25) * chord, profile[:, 1] * thickness * chord
-        rows.append(np.stack([x + 0.25 * chord + px * np.cos(angle) + pz * np.sin(angle), np.full(len(px), y), z - px * np.sin(angle) + pz * np.cos(angle)], -1))
+        rows.append(
+            np.stack(
+                [
+                    x + 0.25 * chord + px * np.cos(angle) + pz * np.sin(angle),
+                    np.full(len(px), y),
+                    z - px * np.sin(angle) + pz * np.cos(angle),
+                ],
+                -1,
+            )
+        )
     # straight panels, raised to degree 2: station, middle, station, ...
     net = [rows[0]]
-    for inner, outer in zip(rows, rows[1:]):
+    for inner, outer in pairwise(rows):
         net += [0.5 * (inner + outer), outer]
     net = np.stack(net, axis=1)
     net[0] = net[-1] = 0.5 * (net[0] + net[-1])
@@ -96,7 +106,12 @@ def wing():
 
 def size(x, y, z):
     """Finer along the wing's span and at the fuselage's ends."""
-    return min(0.13, 0.05 + 0.12 * x, 0.035 + 0.12 * abs(8.2 - x), max(0.04, 0.09 - 0.018 * max(0.0, y - 0.7)) + 0.5 * max(0.0, 0.6 - y))
+    return min(
+        0.13,
+        0.05 + 0.12 * x,
+        0.035 + 0.12 * abs(8.2 - x),
+        max(0.04, 0.09 - 0.018 * max(0.0, y - 0.7)) + 0.5 * max(0.0, 0.6 - y),
+    )
 
 
 def main():

@@ -1,4 +1,4 @@
-// Drives the C++ client as the end-to-end tests ask: see README.md.
+// Test driver of the C++ client: see README.md.
 #include <google/protobuf/struct.pb.h>
 #include <google/protobuf/util/json_util.h>
 

@@ -1,4 +1,4 @@
-"""Drives the Python clients as the end-to-end tests ask: see README.md. `driver.py aio` drives the one for asyncio."""
+"""Test driver of the Python client, see README.md; `driver.py aio` drives the asynchronous one."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def access(given: moldline.SetupAccess) -> Fields:
 
 
 def of_functions(values: dict[str, Any]) -> Fields:
-    """In the order of the set-up's, as the last axis."""
+    """Values of the functions, in the order of the set-up, along the last axis."""
     return array(np.stack(list(values.values()), axis=-1))
 
 
@@ -94,7 +94,9 @@ class Driver:
                 else:
                     raise Stop
 
-        options = {name: a[name] for name in ("setup_file", "request_id", "visibility", "shared_with", "timeout") if name in a}
+        options = {
+            name: a[name] for name in ("setup_file", "request_id", "visibility", "shared_with", "timeout") if name in a
+        }
         setup = await settled(self._client.create_setup(a["path"], progress=tell, **options))
         return {**self._remember_setup(setup), "stages": stages}
 
@@ -242,7 +244,7 @@ class Driver:
 
     async def jacobian(self, a: Fields) -> Fields:
         fractions: list[float] = []
-        tell = lambda progress: fractions.append(progress.fraction)  # noqa: E731
+        tell = lambda progress: fractions.append(progress.fraction)
         result = await settled(self._sessions[a["session"]].jacobian(at=self._at(a), progress=tell))
         return {
             "vertices": array(result.vertices),
@@ -288,7 +290,7 @@ async def main() -> None:
             answer = {"error": failed(error)}
         except (Stop, asyncio.CancelledError):
             answer = {"error": {"code": "CANCELLED", "message": "cancelled by the driver", "violations": []}}
-        except Exception as error:  # A fault of the driver or of the arguments: the test shows it.
+        except Exception as error:  # A fault of the driver or of its arguments: the test reports it.
             answer = {"error": {"code": "CLIENT", "message": repr(error), "violations": []}}
         print(json.dumps(answer), flush=True)
 

@@ -1,4 +1,4 @@
-//! Drives the Rust client as the end-to-end tests ask: see README.md.
+//! Test driver of the Rust client: see README.md.
 
 use std::{
     collections::BTreeMap,

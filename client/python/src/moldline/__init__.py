@@ -57,6 +57,7 @@ from moldline.quality import Distribution, QualityReport, QualitySummary
 from moldline.retry import Retry
 
 __all__ = [
+    "TLS",
     "Aborted",
     "AlreadyExists",
     "At",
@@ -97,7 +98,6 @@ __all__ = [
     "SetupAccess",
     "SetupSummary",
     "Status",
-    "TLS",
     "Tangents",
     "Unauthenticated",
     "Unavailable",

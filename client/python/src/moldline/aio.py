@@ -33,7 +33,6 @@ from moldline.mesh import Mesh
 from moldline.model import (
     At,
     Deformation,
-    DesignPoint,
     Gradients,
     Jacobian,
     SessionState,
@@ -207,9 +206,7 @@ class Setup(SetupFacts):
         """As :meth:`moldline.Setup.delete`."""
         await self._client._run(operations.delete_setup(self.id), timeout)
 
-    async def session(
-        self, *, label: str = "", request_id: str | None = None, timeout: float | None = None
-    ) -> Session:
+    async def session(self, *, label: str = "", request_id: str | None = None, timeout: float | None = None) -> Session:
         """As :meth:`moldline.Setup.session`: ``async with await setup.session() as session``."""
         return Session(self, await self._client._run(operations.open_session(self.id, label, request_id), timeout))
 
@@ -281,9 +278,7 @@ class Session(SessionFacts):
         operation = operations.vjp(self.setup, self.id, vertices, functions, at, design, control_points)
         return await self.setup._client._run(operation, timeout)
 
-    async def jacobian(
-        self, *, at: At = None, progress: bool | Tell = False, timeout: float | None = None
-    ) -> Jacobian:
+    async def jacobian(self, *, at: At = None, progress: bool | Tell = False, timeout: float | None = None) -> Jacobian:
         """As :meth:`moldline.Session.jacobian`."""
         with told(progress) as tell:
             return await self.setup._client._run(operations.jacobian(self.setup, self.id, at, tell), timeout)

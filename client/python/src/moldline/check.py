@@ -46,7 +46,8 @@ class Kink:
     #: Where it is, metres, and on which component.
     position: tuple[float, ...]
     component: str
-    #: Relative error of the derivative, against that to the nearer side there, and central differences at all other vertices.
+    #: Relative error of the derivative: there against the derivative to the nearer side, at all other vertices against
+    #: central differences.
     error: float
 
 

@@ -148,9 +148,7 @@ class Setup(SetupFacts):
             operation = operations.check(self, designs, design, variables, seed, tell)
             return self._client._run(operation, timeout)
 
-    def share(
-        self, visibility: Visibility, *, shared_with: Iterable[str] = (), timeout: float | None = None
-    ) -> None:
+    def share(self, visibility: Visibility, *, shared_with: Iterable[str] = (), timeout: float | None = None) -> None:
         """Changes who else may use a set-up of your own.
 
         `visibility`: ``private``, ``tenants`` or ``public``.

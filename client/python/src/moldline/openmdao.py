@@ -140,7 +140,7 @@ class DeformedMesh(_Mesh):
 
     def _reverse(self, inputs: Any, d_inputs: Any, d_outputs: Any) -> None:
         session: Session = self.options["session"]
-        vertices = d_outputs["vertices"] if "vertices" in d_outputs else None
+        vertices = d_outputs["vertices"] if "vertices" in d_outputs else None  # noqa: SIM401  # no dict
         weights = {function: d_outputs[name].item() for name, function in self._functions.items() if name in d_outputs}
         components = {name: component for name, component in self._components.items() if name in d_inputs}
         by_design = any(name in d_inputs for name in self._entries)
@@ -193,8 +193,8 @@ class PanelComponent(om.ExplicitComponent):  # type: ignore[misc]
 
     Inputs: `vertices`, (n, 3), metres; `alpha`, rad; `mach`.
 
-    Outputs: those of the option `coefficients`, such as `lift` (:data:`moldline.panel.COEFFICIENTS`); `section_loads`, m, and
-    `cp` of every cell if wanted.
+    Outputs: those of the option `coefficients`, such as `lift` (:data:`moldline.panel.COEFFICIENTS`); `section_loads`, m,
+    and `cp` of every cell if wanted.
 
     Options:
     `configuration`: a :class:`moldline.panel.Configuration`.
@@ -243,7 +243,10 @@ class PanelComponent(om.ExplicitComponent):  # type: ignore[misc]
     def _analyze(self, inputs: Any) -> Analysis:
         configuration: Configuration = self.options["configuration"]
         return configuration.analyze(
-            inputs["vertices"], reference=self.options["reference"], mach=inputs["mach"].item(), alpha=inputs["alpha"].item()
+            inputs["vertices"],
+            reference=self.options["reference"],
+            mach=inputs["mach"].item(),
+            alpha=inputs["alpha"].item(),
         )
 
     def _at(self, inputs: Any) -> Analysis:

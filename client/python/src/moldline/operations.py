@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import uuid
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -334,10 +335,8 @@ def _request_id(given: str | None) -> str:
 
 def _gone(call: Call) -> Operation[None]:
     """What is not there has been removed already, perhaps by an attempt whose answer was lost."""
-    try:
+    with suppress(NotFound):
         yield call
-    except NotFound:
-        pass
 
 
 def _at(at: At) -> wire.LinearisationPoint:

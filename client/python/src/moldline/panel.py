@@ -16,7 +16,7 @@ from __future__ import annotations
 import os
 from collections.abc import Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import Any, Literal, TypeVar, Union
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -73,7 +73,7 @@ class Angle:
 
 
 #: Where wakes leave the surface; `"none"` for bodies without lift.
-TrailingEdges = Union[Groups, Edges, Angle, Literal["none"]]
+TrailingEdges = Groups | Edges | Angle | Literal["none"]
 
 #: The plane y = 0: `"none"` solves every cell, `"half"` says that the mesh is one half, `"mirror"` that it has both.
 Symmetry = Literal["none", "half", "mirror"]
@@ -169,8 +169,8 @@ class Analysis:
     coefficients: Coefficients
     #: Lift coefficient of the wakes: the part of the circulation's lift that acts on them and not on the body.
     wake_lift: float
-    #: Lift from the pressure and on the wakes over the lift that momentum demands for the circulation, less one: a measure of the
-    #: discretisation.
+    #: Lift from the pressure and on the wakes over the lift that momentum demands for the circulation, less one: a measure
+    #: of the discretisation.
     disagreement: float
     total: Loads
     #: By name.
@@ -194,7 +194,7 @@ class Analysis:
 
 
 #: Where a derivative is taken: an analysis, whose factored system the server then need not make again, or a point.
-At = Union[Analysis, AnalysisPoint]
+At = Analysis | AnalysisPoint
 
 
 @dataclass(frozen=True)
@@ -263,8 +263,8 @@ class Client(Caller):
         `solver`: by the size of the system if `None`.
         `tolerance`: residual relative to the right-hand side; 1e-12 if `None`.
 
-        Raises :class:`moldline.InvalidArgument` naming the cell or edge that is wrong, :class:`moldline.ResourceExhausted` if
-        an analysis would need more memory than the server gives one.
+        Raises :class:`moldline.InvalidArgument` naming the cell or edge that is wrong,
+        :class:`moldline.ResourceExhausted` if an analysis would need more memory than the server gives one.
         """
         request = wire.CreateConfigurationRequest()
         arrays.write(vertices, request.vertices)
@@ -338,8 +338,8 @@ class Configuration:
         `pressures`: whether those of cells and vertices are wanted.
         `progress`: as in :meth:`moldline.Client.create_setup`.
 
-        Raises :class:`moldline.InvalidArgument` naming what is wrong, :class:`moldline.FailedPrecondition` if the method fails
-        on these vertices, such as a wake that cuts the body.
+        Raises :class:`moldline.InvalidArgument` naming what is wrong, :class:`moldline.FailedPrecondition` if the method
+        fails on these vertices, such as a wake that cuts the body.
         """
         swept = self.sweep(
             [alpha],
@@ -452,7 +452,9 @@ class Configuration:
 
 def parts(mesh: Mesh) -> dict[str, NDArray[np.uint32]]:
     """The cells of each component of a mesh, by name: cell groups of a configuration."""
-    owned = {name: np.flatnonzero(mesh.cell_owner == index).astype(np.uint32) for index, name in enumerate(mesh.components)}
+    owned = {
+        name: np.flatnonzero(mesh.cell_owner == index).astype(np.uint32) for index, name in enumerate(mesh.components)
+    }
     return {name: cells for name, cells in owned.items() if len(cells)}
 
 
@@ -462,7 +464,9 @@ def _create(request: wire.CreateConfigurationRequest) -> Operation[wire.Configur
 
 
 def _get(configuration_id: str) -> Operation[wire.Configuration]:
-    response: wire.GetConfigurationResponse = yield Call("GetConfiguration", wire.GetConfigurationRequest(configuration_id=configuration_id))
+    response: wire.GetConfigurationResponse = yield Call(
+        "GetConfiguration", wire.GetConfigurationRequest(configuration_id=configuration_id)
+    )
     return response.configuration
 
 

@@ -58,7 +58,9 @@ class Attempts:
         if isinstance(error, Cancelled) and self._deadline.remaining == 0.0:
             # A server that ends a call at its deadline may say so in this way.
             raise DeadlineExceeded("the call took longer than its timeout")
-        again = isinstance(error, Unavailable) or (isinstance(error, ResourceExhausted) and error.retry_after is not None)
+        again = isinstance(error, Unavailable) or (
+            isinstance(error, ResourceExhausted) and error.retry_after is not None
+        )
         if not again or self._failed >= self._retry.attempts:
             raise error
         pause = (error.retry_after or 0.0) + random.uniform(0.0, self._longest)

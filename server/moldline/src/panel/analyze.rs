@@ -7,6 +7,7 @@ use std::{
 };
 
 use clap::Args;
+use moldline_host::Cancellation;
 use moldline_mesh::{
     Limits, SurfaceMesh,
     io::{ReadError, msh, stl, vtu},
@@ -14,8 +15,7 @@ use moldline_mesh::{
 use moldline_panel::{
     Analysis, Flow, Loads, Options, PanelSetup, Reference, Scalars, Solver, Symmetry, TrailingEdges,
 };
-use moldline_panel_service::{Reporter, refused};
-use moldline_service::Cancellation;
+use moldline_panel_service::{refused, reporter};
 use serde_json::{Value, json};
 
 use super::choices::{SOLVERS, SYMMETRIES, words};
@@ -107,7 +107,7 @@ pub fn run(options: &AnalyzeOptions) -> Result<(), Failure> {
         options.alpha.iter().map(|alpha| Flow { alpha: alpha.to_radians(), sideslip, reference }).collect();
     let analyses: Vec<Analysis> = pool.install(|| {
         let bar = Bar::new();
-        let monitor = Reporter::new(Cancellation::default(), |progress| bar.show(&progress));
+        let monitor = reporter(Cancellation::default(), |progress| bar.show(&progress));
         let solution = setup.solve(&mesh.vertices, options.mach, &monitor).map_err(refused)?;
         flows.iter().map(|flow| solution.analyse(flow).map_err(refused)).collect::<Result<_, _>>()
     })?;

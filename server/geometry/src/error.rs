@@ -1,0 +1,103 @@
+//! Errors of components.
+
+use crate::location::Side;
+
+/// Why patches do not form a component.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum ComponentError {
+    /// No patches.
+    #[error("component '{component}' has no patches")]
+    Empty {
+        /// The component's name.
+        component: String,
+    },
+    /// Knots and control points do not fit.
+    #[error("patch '{patch}' has {count} control points, but its knots need {n_u} x {n_v}")]
+    ControlPointCount {
+        /// The patch's name.
+        patch: String,
+        /// Number of control points given.
+        count: usize,
+        /// Control points that the knots need along `u`.
+        n_u: usize,
+        /// Control points that the knots need along `v`.
+        n_v: usize,
+    },
+    /// Control points and weights differ in number.
+    #[error("patch '{patch}' has {weights} weights for {count} control points")]
+    WeightCount {
+        /// The patch's name.
+        patch: String,
+        /// Number of weights.
+        weights: usize,
+        /// Number of control points.
+        count: usize,
+    },
+    /// A coordinate is NaN or infinite.
+    #[error(
+        "control point {index} of patch '{patch}' has the coordinate {value}, which is not a finite number"
+    )]
+    NotFinite {
+        /// The patch's name.
+        patch: String,
+        /// Control point index.
+        index: usize,
+        /// The coordinate.
+        value: f64,
+    },
+    /// A weight is not positive and finite.
+    #[error("weight {index} of patch '{patch}' is {value}: weights must be positive")]
+    Weight {
+        /// The patch's name.
+        patch: String,
+        /// Control point index.
+        index: usize,
+        /// The weight.
+        value: f64,
+    },
+    /// All control points coincide.
+    #[error("all control points of component '{component}' coincide")]
+    NoExtent {
+        /// The component's name.
+        component: String,
+    },
+    /// The shell has a boundary, and that was not allowed.
+    #[error(
+        "side {side:?} of patch '{patch}' from {from:?} to {to:?} joins no other patch ({count} such edges): close the \
+         shell, or allow open shells"
+    )]
+    Open {
+        /// The patch's name.
+        patch: String,
+        /// The side.
+        side: Side,
+        /// Where the boundary edge starts.
+        from: [f64; 3],
+        /// Where it ends.
+        to: [f64; 3],
+        /// Number of boundary edges.
+        count: usize,
+    },
+    /// More than two patch sides share an edge.
+    #[error(
+        "side {side:?} of patch '{patch}' lies on an edge shared by {count} patch sides; two are possible"
+    )]
+    NonManifold {
+        /// The patch's name.
+        patch: String,
+        /// The side.
+        side: Side,
+        /// Number of sides that share the edge.
+        count: usize,
+    },
+    /// Inside and outside cannot be told apart.
+    #[error(
+        "the surface is one-sided: the orientations of patches '{patch}' and '{neighbour}' contradict each other"
+    )]
+    NotOrientable {
+        /// The patch's name.
+        patch: String,
+        /// Its neighbour's name.
+        neighbour: String,
+    },
+}
