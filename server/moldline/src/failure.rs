@@ -3,7 +3,7 @@
 use std::{io, path::PathBuf};
 
 use moldline_check::CheckError;
-use moldline_service::ServiceError;
+use moldline_host::ServiceError;
 
 use crate::{shell::ServeError, status::StatusError};
 

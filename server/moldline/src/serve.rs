@@ -4,7 +4,8 @@ use std::sync::Arc;
 
 use clap::Args;
 use metrics::{counter, gauge};
-use moldline_service::{CacheStatus, Limits, Principal, Service, Store};
+use moldline_host::{CacheStatus, Principal};
+use moldline_service::{Limits, Service, Store};
 use moldline_transport::{Gauges, Served};
 
 use crate::{

@@ -4,7 +4,7 @@ use std::{io::Write, net::SocketAddr, num::NonZeroUsize, path::PathBuf, sync::Ar
 
 use axum::http::HeaderValue;
 use clap::Args;
-use moldline_service::PoolLimits;
+use moldline_host::PoolLimits;
 use moldline_transport::{
     Access, Gauges, Health, Port, Served, Surroundings, TlsError, TlsFiles, acceptor, metrics_upkeep, router,
     start_metrics,

@@ -3,7 +3,7 @@
 use std::{path::PathBuf, time::Duration};
 
 use clap::{Args, Subcommand};
-use moldline_service::{Principal, Role, Tenant};
+use moldline_host::{Principal, Role, Tenant};
 use moldline_transport::tokens::{self, TokenFileError};
 
 use crate::{cli, table};

@@ -26,8 +26,6 @@ pub use access::{Access, Certified, role};
 pub use code::codes;
 pub use deadline::{Deadline, REQUEST_TIMEOUT};
 pub use error_response::{Answer, ErrorResponse, FieldViolation, Problem, status};
-// The name under which the binary still knows it.
-pub use error_response::ErrorResponse as Refusal;
 pub use extract::{Caller, Id, Query};
 pub use health::Health;
 pub use listen::Port;

@@ -7,6 +7,7 @@ use std::{
 };
 
 use clap::Args;
+use moldline_host::Cancellation;
 use moldline_mesh::{
     Limits, SurfaceMesh,
     io::{ReadError, msh, stl, vtu},
@@ -15,7 +16,6 @@ use moldline_panel::{
     Analysis, Flow, Loads, Options, PanelSetup, Reference, Scalars, Solver, Symmetry, TrailingEdges,
 };
 use moldline_panel_service::{refused, reporter};
-use moldline_service::Cancellation;
 use serde_json::{Value, json};
 
 use super::choices::{SOLVERS, SYMMETRIES, words};

@@ -1,12 +1,12 @@
 //! Conversions between the messages of the protocol and the types of the panel method and its service.
 
+use moldline_host::ServiceError;
 use moldline_mesh::{Cell, Group, Limits, MeshError};
 use moldline_panel::{
     Analysis, Flow, Inputs, Loads, Options, Outputs, Reference, Scalars, Section, TrailingEdges,
 };
 use moldline_panel_service::{Analysed, AnalysisPoint, Configuration, Definition, Geometry, refused};
 use moldline_proto::v1;
-use moldline_service::ServiceError;
 use v1::trailing_edges::Rule;
 
 use super::choices::{SOLVERS, SYMMETRIES, of_message, to_message};
