@@ -165,7 +165,7 @@ mod tests {
     use tokio::sync::oneshot;
 
     use super::*;
-    use crate::testing::eventually;
+    use moldline_testing::eventually;
 
     fn none() -> Option<Arc<u32>> {
         None

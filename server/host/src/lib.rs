@@ -17,8 +17,6 @@ mod flight;
 mod pool;
 mod principal;
 mod progress;
-#[cfg(test)]
-mod testing;
 mod timing;
 
 pub use cache::{Cache, CacheStatus, Claim};

@@ -312,7 +312,7 @@ mod tests {
     use std::sync::{atomic::AtomicBool, atomic::Ordering, mpsc};
 
     use super::*;
-    use crate::testing::eventually;
+    use moldline_testing::eventually;
 
     fn pool(running: usize, queued: usize) -> Arc<ComputePool> {
         Arc::new(ComputePool::new(PoolLimits { threads: 2, running, queued }, usize::MAX).unwrap())

@@ -44,7 +44,7 @@ pub enum TokenCommand {
 }
 
 fn role(text: &str) -> Result<Role, String> {
-    moldline_transport::role(text).ok_or_else(|| "expected reader, user or admin".to_owned())
+    Role::named(text).ok_or_else(|| "expected reader, user or admin".to_owned())
 }
 
 /// Creates, lists or revokes tokens.

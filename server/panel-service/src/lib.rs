@@ -24,8 +24,3 @@ pub use configuration::{Configuration, Definition};
 pub use progress::reporter;
 pub use service::{Analysed, AnalysisPoint, Created, Geometry, Limits, PanelService, Status};
 pub use solved::Solved;
-
-/// The answer to an error of the panel method.
-pub fn refused(error: moldline_panel::PanelError) -> moldline_host::ServiceError {
-    error.into()
-}

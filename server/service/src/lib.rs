@@ -36,11 +36,6 @@ mod status;
 mod upload;
 
 pub use moldline_check::Report as CheckReport;
-pub use moldline_host::{
-    CacheStatus, Cancellation, Code, Completed, ComputePool, Flights, Follower, Joined, PoolLimits,
-    Principal, Product, Progress, Reporter, Reports, Role, ServiceError, Task, Tenant, TenantError, Ticket,
-    Timing, Violation, Work,
-};
 pub use moldline_setup::ArchiveKind;
 pub use moldline_store::{Store, StoreError};
 

@@ -2,9 +2,10 @@
 
 use moldline_check::CheckError;
 use moldline_deform::{DeformError, SetupError, VertexDistance};
+use moldline_host::{Code, ServiceError};
 use moldline_mesh::{MeshError, io::ReadError};
 use moldline_parameterisation::{DesignError, ParameterisationError};
-use moldline_service::{Code, ServiceError, StoreError};
+use moldline_service::StoreError;
 use moldline_setup::SetupFileError;
 
 /// Code and field of an answer, which carries the text of the error.

@@ -8,9 +8,10 @@ use std::{
 };
 
 use moldline_deform::Setup;
+use moldline_host::{Code, PoolLimits, Principal, ServiceError};
 use moldline_service::{
-    At, Code, ControlPointVectors, Design, Directions, FileEntry, Limits, Page, PoolLimits, Principal, Seeds,
-    Service, ServiceError, Store, Upload, UploadHeader, UploadSource, Uploaded, Values, Wanted,
+    At, ControlPointVectors, Design, Directions, FileEntry, Limits, Page, Seeds, Service, Store, Upload,
+    UploadHeader, UploadSource, Uploaded, Values, Wanted,
 };
 use moldline_testing::{ball, eventually};
 

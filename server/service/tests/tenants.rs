@@ -3,10 +3,10 @@
 
 use std::collections::BTreeSet;
 
+use moldline_host::{Code, PoolLimits, Principal, Role, ServiceError, Tenant};
 use moldline_service::{
-    Access, At, Code, Design, Directions, FileEntry, Limits, Page, PoolLimits, Principal, Role, Seeds,
-    Service, ServiceError, SessionUpdate, Store, Tenant, Upload, UploadHeader, UploadSource, Uploaded,
-    Values, Visibility, Wanted,
+    Access, At, Design, Directions, FileEntry, Limits, Page, Seeds, Service, SessionUpdate, Store, Upload,
+    UploadHeader, UploadSource, Uploaded, Values, Visibility, Wanted,
 };
 use moldline_testing::ball;
 

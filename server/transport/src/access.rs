@@ -92,8 +92,3 @@ pub async fn administrators(request: Request, next: Next) -> Response {
         }
     }
 }
-
-/// [`Role::named`], for the binary.
-pub fn role(name: &str) -> Option<Role> {
-    Role::named(name)
-}

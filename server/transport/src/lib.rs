@@ -22,7 +22,7 @@ mod shell;
 mod tls;
 pub mod tokens;
 
-pub use access::{Access, Certified, role};
+pub use access::{Access, Certified};
 pub use code::codes;
 pub use deadline::{Deadline, REQUEST_TIMEOUT};
 pub use error_response::{Answer, ErrorResponse, FieldViolation, Problem, status};
