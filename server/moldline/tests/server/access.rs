@@ -3,8 +3,8 @@
 use std::time::Duration;
 
 use moldline_host::{Principal, Role, Tenant};
-use moldline_proto::{FILE_DESCRIPTOR_SET, v1, v1::mesh_service_client::MeshServiceClient};
 use moldline_mesh_service::Limits;
+use moldline_proto::{FILE_DESCRIPTOR_SET, v1, v1::mesh_service_client::MeshServiceClient};
 use moldline_transport::{
     Access,
     tokens::{TokenFile, create},
@@ -354,6 +354,50 @@ async fn metrics_are_for_administrators_and_probes_for_everybody() {
     assert_eq!(server.ask("GET", "/metrics", &[("authorization", "Basic YTpi")], b"").await.status, 401);
     let mut health = tonic_health::pb::health_client::HealthClient::new(server.channel().await);
     health.check(tonic_health::pb::HealthCheckRequest::default()).await.unwrap();
+}
+
+#[tokio::test]
+async fn names_that_callers_invent_become_no_labels() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("tokens.json");
+    let principal = Principal { tenant: Tenant::new("anna").unwrap(), role: Role::Admin };
+    let admin = format!("Bearer {}", create(&path, &principal, None).unwrap());
+    let access = Access { tokens: Some(TokenFile::open(&path).unwrap()), certificates: false };
+    let server = Server::with(access, Limits::default()).await;
+    let metrics = async || {
+        let answer = server.ask("GET", "/metrics", &[("authorization", &admin)], b"").await;
+        String::from_utf8(answer.body).unwrap()
+    };
+    let call = async |number: usize, kind: &str, credential: &[(&str, &str)]| {
+        let headers = [&[("content-type", kind)], credential].concat();
+        for service in ["MeshService", "PanelService", "OtherService"] {
+            let path = format!("/moldline.v1.{service}/Invented{number}");
+            server.ask("POST", &path, &headers, b"").await;
+        }
+        server.ask("POST", &format!("/v1/invented{number}"), &headers, b"").await;
+        server.ask("POST", &format!("/grpc.health.v1.Health/Invented{number}"), &headers, b"").await;
+    };
+    let credential = [("authorization", admin.as_str())];
+    let round = async |number: usize| {
+        for kind in
+            ["application/grpc-web", "application/grpc-web-text", "application/grpc", "application/json"]
+        {
+            call(number, kind, &[]).await;
+            call(number, kind, &credential).await;
+        }
+    };
+    round(0).await;
+    let before = metrics().await;
+    for number in 1..5 {
+        round(number).await;
+    }
+    let after = metrics().await;
+    assert!(!after.to_lowercase().contains("invented"), "{after}");
+    assert!(after.contains("rpc=\"unknown\""), "{after}");
+    let series = |text: &str| text.lines().filter(|line| line.contains("rpc=")).count();
+    // The scrape before is counted in between.
+    let scrape = after.lines().filter(|line| line.contains("rpc=\"/metrics\"")).count();
+    assert!(series(&after) <= series(&before) + scrape, "{} and {} series", series(&before), series(&after));
 }
 
 /// A certificate authority that signs certificates.
