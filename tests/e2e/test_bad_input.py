@@ -286,6 +286,22 @@ def test_bad_control_points_are_refused(setup: moldline.Setup) -> None:
                 assert word in violation.description
 
 
+def test_control_points_far_away_are_searched_or_refused_and_the_server_lives(setup: moldline.Setup) -> None:
+    """At 100 m rounding keeps halves of the boom's pieces as large as they were; beyond 1000 lengths nothing is searched."""
+    boom = setup.control_points["boom"]
+    with setup.session() as session:
+        for far in [100.0, 1000.0, 3000.0]:
+            with pytest.raises(moldline.FailedPrecondition):
+                session.deform(control_points={"boom": boom + [0, far, 0]})
+        for far in [1e5, 1e9, 1e300]:
+            with pytest.raises(moldline.InvalidArgument) as refused:
+                session.deform(control_points={"boom": boom + [0, far, 0]})
+            (violation,) = refused.value.violations
+            assert violation.field == "control_points[1]"
+            assert "1000 reference lengths" in violation.description
+        assert session.deform().vertices.shape == (setup.vertex_count, 3)
+
+
 def test_unknown_sessions_are_not_found(setup: moldline.Setup) -> None:
     with setup.session() as session:
         unknown = moldline.Session(setup, replace(session.state, id="x" * 10_000))

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use moldline_geometry::{Body, Component, Vector3};
 use rayon::prelude::*;
 
-use crate::error::ControlPointsError;
+use crate::error::{ControlPointsError, Source};
 
 /// The components with the given control points, per component.
 ///
@@ -46,25 +46,25 @@ impl Reach {
         Self { middle, radius: Self::LENGTHS * length }
     }
 
-    /// Refuses control points outside. `given`: the components whose control points do not come from the design.
+    /// Refuses control points outside. `source`: where those of a component come from.
     pub(crate) fn check(
         &self,
         components: &[Arc<Component>],
         control_points: &[Vec<[f64; 3]>],
-        given: &dyn Fn(usize) -> bool,
+        source: impl Fn(usize) -> Source,
     ) -> Result<(), ControlPointsError> {
         let squared = self.radius * self.radius;
         for (component, points) in control_points.iter().enumerate() {
-            // Squares that overflow, and NaN, are outside, too.
-            let inside = |x: &[f64; 3]| (Vector3::from(*x) - self.middle).norm_squared() <= squared;
-            if let Some(point) = points.iter().position(|x| !inside(x)) {
+            // Squares that overflow are outside, too; NaN is left to `check_points`.
+            let outside = |x: &[f64; 3]| (Vector3::from(*x) - self.middle).norm_squared() > squared;
+            if let Some(point) = points.iter().position(outside) {
                 return Err(ControlPointsError::Far {
                     component,
                     name: components.get(component).map_or_else(String::new, |c| c.name().to_owned()),
                     point,
                     position: points[point],
                     limit: self.radius,
-                    by_design: !given(component),
+                    moved_by: source(component),
                 });
             }
         }

@@ -47,6 +47,17 @@ impl fmt::Display for Constraint {
     }
 }
 
+/// Where control points come from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Source {
+    /// The set-up, at its baseline.
+    Setup,
+    /// The design.
+    Design,
+    /// The caller gave them.
+    Given,
+}
+
 /// Why control points do not fit the components of a set-up.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum ControlPointsError {
@@ -86,11 +97,10 @@ pub enum ControlPointsError {
     #[error(
         "control_points[{component}] (`{name}`): point {point} at {position:?} m is farther than {limit:.3e} m (1000 \
          reference lengths) from the middle of the mesh; {}",
-        if *by_design {
-            "take smaller values of the design variables that move this component, and compare the units of mesh and \
-             components"
-        } else {
-            "check its unit (metres) and its origin"
+        match moved_by {
+            Source::Setup => "give the mesh and its components in the same unit and about the same origin",
+            Source::Design => "take smaller values of the design variables that move this component",
+            Source::Given => "check its unit (metres) and its origin",
         }
     )]
     Far {
@@ -104,8 +114,8 @@ pub enum ControlPointsError {
         position: [f64; 3],
         /// The largest distance allowed, m.
         limit: f64,
-        /// The design moves it there; otherwise it was given.
-        by_design: bool,
+        /// What put it there.
+        moved_by: Source,
     },
 }
 
@@ -455,7 +465,12 @@ impl Failure for DeformError {
         Some(match self {
             Self::Design(error) => return error.field(),
             Self::Cancelled => return None,
-            Self::ControlPoints(ControlPointsError::Far { by_design: true, .. }) => "design".to_owned(),
+            Self::ControlPoints(ControlPointsError::Far { moved_by: Source::Design, .. }) => {
+                "design".to_owned()
+            }
+            Self::ControlPoints(ControlPointsError::Far { component, .. }) => {
+                format!("control_points[{component}]")
+            }
             Self::ControlPoints(_) => "control_points".to_owned(),
             Self::SeamLost { .. }
             | Self::NotProjected { .. }

@@ -2,7 +2,7 @@
 
 use moldline_parameterisation::{ControlPoints, Override};
 
-use crate::{DeformError, Monitor, Setup, Stage, bodies::check_points};
+use crate::{DeformError, Monitor, Setup, Stage, bodies::check_points, error::Source};
 
 /// What a deformation starts from.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -68,8 +68,11 @@ impl Setup {
         monitor.progress(Stage::Geometry, 0.0);
         self.parameterisation.validate(&inputs.design)?;
         let control_points = self.parameterisation.control_points_with(&inputs.design, &inputs.given)?;
-        let given = |component| inputs.given.iter().any(|given| given.component == component);
-        self.reach.check(&self.components, &control_points, &given)?;
+        let source = |component| match inputs.given.iter().any(|given| given.component == component) {
+            true => Source::Given,
+            false => Source::Design,
+        };
+        self.reach.check(&self.components, &control_points, source)?;
         Ok(control_points)
     }
 

@@ -32,7 +32,7 @@ pub use chain::{
     seams::setup::{FoundLine, SeamSummary},
 };
 pub use deformation::Deformation;
-pub use error::{Constraint, ControlPointsError, DeformError, SetupError, VertexDistance};
+pub use error::{Constraint, ControlPointsError, DeformError, SetupError, Source, VertexDistance};
 pub use inputs::{Direction, Inputs};
 pub use linearisation::{Gradient, Linearisation, Stages, Tangent};
 pub use moldline_foundation::{Monitor, NoMonitor};

@@ -25,6 +25,7 @@ use crate::{
         smoothing::Smoothing,
     },
     constraints::{Constraints, in_groups},
+    error::Source,
     inspection::Inspection,
     ownership::{Ownership, OwnershipParts},
     report::{self, Findings, SetupReport},
@@ -152,7 +153,7 @@ impl Setup {
         let reach = Reach::new(bounds.center(), length);
         let baseline = parameterisation.control_points(&parameterisation.baseline());
         let baseline = baseline.map_err(SetupError::Baseline)?;
-        reach.check(&components, &baseline, &|_| false).map_err(SetupError::ControlPoints)?;
+        reach.check(&components, &baseline, |_| Source::Setup).map_err(SetupError::ControlPoints)?;
         let reference = bodies(&components, &baseline);
         let reference: Arc<[Body]> = reference.map_err(SetupError::ControlPoints)?.into();
 
@@ -354,8 +355,9 @@ impl Setup {
     /// [`DeformError::ControlPoints`] if counts do not match, a coordinate is not finite, or a point lies farther from the mesh
     /// than 1000 reference lengths.
     pub fn bodies(&self, control_points: &[Vec<[f64; 3]>]) -> Result<Vec<Body>, DeformError> {
-        self.reach.check(&self.components, control_points, &|_| true)?;
-        Ok(bodies(&self.components, control_points)?)
+        let bodies = bodies(&self.components, control_points)?;
+        self.reach.check(&self.components, control_points, |_| Source::Given)?;
+        Ok(bodies)
     }
 
     /// The components in the reference state.

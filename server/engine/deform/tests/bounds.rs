@@ -13,7 +13,7 @@ use std::{
 };
 
 use moldline_deform::{
-    ControlPointsError, DeformError, Inputs, Monitor, NoMonitor, Setup, SetupError, SetupInput, Stage,
+    ControlPointsError, DeformError, Inputs, Monitor, NoMonitor, Setup, SetupError, SetupInput, Source, Stage,
 };
 use moldline_foundation::Failure;
 use moldline_parameterisation::Override;
@@ -59,12 +59,14 @@ fn control_points_within_reach_are_searched_and_those_beyond_refused_by_field() 
         for lengths in [1010.0, 1e6, 1e100, 1e200, 1e300] {
             let error = setup.deform(shifted(&setup, lengths * length), &NoMonitor).unwrap_err();
             let DeformError::ControlPoints(ControlPointsError::Far {
-                component: 1, by_design: false, ..
+                component: 1,
+                moved_by: Source::Given,
+                ..
             }) = &error
             else {
                 panic!("{lengths}: {error}")
             };
-            assert_eq!(error.field().unwrap(), "control_points");
+            assert_eq!(error.field().unwrap(), "control_points[1]");
         }
     });
 }
