@@ -27,7 +27,7 @@ fn build(content: SetupContent) -> Result<Setup, SetupError> {
 }
 
 fn deform(setup: &Setup, values: &[(&str, f64)]) -> Result<Deformation, DeformError> {
-    setup.deform(&setup.parameterisation().design(values.iter().copied()).unwrap(), &NoMonitor)
+    setup.deform(setup.parameterisation().design(values.iter().copied()).unwrap(), &NoMonitor)
 }
 
 fn bodies(setup: &Setup, values: &[(&str, f64)]) -> Vec<Body> {
