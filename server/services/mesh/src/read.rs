@@ -67,5 +67,9 @@ fn read(mut files: Files, setup_file: Option<&str>, limits: &Limits) -> Result<C
 }
 
 fn file_limits(limits: &Limits) -> moldline_setup_files::Limits {
-    moldline_setup_files::Limits { bytes: limits.unpacked_bytes, files: limits.upload_files, ..limits.setup_file }
+    moldline_setup_files::Limits {
+        bytes: limits.unpacked_bytes,
+        files: limits.upload_files,
+        ..limits.setup_file
+    }
 }

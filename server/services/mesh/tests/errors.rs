@@ -4,8 +4,8 @@ use moldline_check::CheckError;
 use moldline_deform::{DeformError, SetupError, VertexDistance};
 use moldline_host::{Code, ServiceError};
 use moldline_mesh::{MeshError, io::ReadError};
-use moldline_parameterisation::{DesignError, ParameterisationError};
 use moldline_mesh_service::StoreError;
+use moldline_parameterisation::{DesignError, ParameterisationError};
 use moldline_setup_files::SetupFileError;
 
 /// Code and field of an answer, which carries the text of the error.
