@@ -1,4 +1,4 @@
-"""A server that misbehaves on demand and records the calls that it receives."""
+"""A server that fails on demand and records its calls."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ import numpy as np
 from google.protobuf import any_pb2, duration_pb2
 from google.rpc import code_pb2, error_details_pb2, status_pb2
 from grpc_status import rpc_status
-from moldline.v1 import array_pb2, mesh_service_pb2, mesh_service_pb2_grpc
+from moldline.v1 import array_pb2, mesh_service_pb2, mesh_service_pb2_grpc, panel_service_pb2, panel_service_pb2_grpc
 
 wire: Any = mesh_service_pb2
-#: Of its one set-up.
+#: Sizes of its one set-up.
 VARIABLES, VERTICES = 4, 5
 JACOBIAN = np.arange(VARIABLES * VERTICES * 3, dtype=float).reshape(VARIABLES, VERTICES, 3) / 7
 
 
 def refusal(code: str, retry_after: float | None = None) -> Any:
-    """What to answer with: the status of that code, with google.rpc details."""
+    """A status with this code and google.rpc details."""
     status = status_pb2.Status(code=code_pb2.Code.Value(code), message=f"{code} on demand")
     if retry_after is not None:
         delay = duration_pb2.Duration()
@@ -33,15 +33,16 @@ def refusal(code: str, retry_after: float | None = None) -> Any:
     return rpc_status.to_status(status)
 
 
-class FakeServer(mesh_service_pb2_grpc.MeshServiceServicer):
-    """Answers with one of `refusals` for each call, in turn, and correctly afterwards."""
+class FakeServer(mesh_service_pb2_grpc.MeshServiceServicer, panel_service_pb2_grpc.PanelServiceServicer):
+    """Answers with one of `refusals` per call, in turn, and then as a real server would."""
 
     def __init__(self, credentials: grpc.ServerCredentials | None = None) -> None:
         self.refusals: list[Any] = []
-        #: Of each call: when it came, its metadata, its request, the seconds that it had, and who the peer has proved to be.
+        #: Arrival time, metadata, request, remaining seconds and authenticated identities of each call.
         self.calls: list[tuple[float, dict[str, str], Any, float | None, list[bytes]]] = []
         self._server = grpc.server(futures.ThreadPoolExecutor(4))
         mesh_service_pb2_grpc.add_MeshServiceServicer_to_server(self, self._server)
+        panel_service_pb2_grpc.add_PanelServiceServicer_to_server(self, self._server)
         if credentials is None:
             port = self._server.add_insecure_port("127.0.0.1:0")
         else:
@@ -108,6 +109,15 @@ class FakeServer(mesh_service_pb2_grpc.MeshServiceServicer):
                 vertices=_array(JACOBIAN[column : column + 1]),
                 functions=_array(np.zeros((1, 1))),
             )
+
+    def GetConfiguration(self, request: Any, context: grpc.ServicerContext) -> Any:
+        self._answer(request, context)
+        empty = array_pb2.Array(dtype=array_pb2.DATA_TYPE_UINT32, shape=(0,))
+        edges = array_pb2.Array(dtype=array_pb2.DATA_TYPE_UINT32, shape=(0, 2))
+        configuration = panel_service_pb2.Configuration(
+            configuration_id=request.configuration_id, trailing_edges=edges, roots=empty
+        )
+        return panel_service_pb2.GetConfigurationResponse(configuration=configuration)
 
     def __enter__(self) -> FakeServer:
         self._server.start()

@@ -139,6 +139,29 @@ def test_the_token_goes_with_every_call(client: Client, server: FakeServer) -> N
     assert [call[1].get("authorization") for call in server.calls[1:]] == 2 * ["Bearer mold_secret"]
 
 
+def test_the_panel_client_retries_and_sends_its_token(client: Client, server: FakeServer) -> None:
+    client("connect", address=server.address, token="mold_secret", first_pause=0.01)
+    server.refusals = [refusal("RESOURCE_EXHAUSTED", retry_after=0.2), refusal("UNAVAILABLE")]
+    assert client("get_configuration", configuration="one")["configuration"] == "one"
+    assert [call[1].get("authorization") for call in server.calls] == 3 * ["Bearer mold_secret"]
+    assert server.times[1] - server.times[0] >= 0.2
+    server.refusals = [refusal("PERMISSION_DENIED")]
+    with pytest.raises(Refused) as error:
+        client("get_configuration", configuration="one")
+    assert error.value.code == "PERMISSION_DENIED"
+
+
+def test_the_panel_clients_deadline_covers_all_attempts(client: Client, server: FakeServer) -> None:
+    client("connect", address=server.address, first_pause=0.01, timeout=1.0)
+    server.refusals = [refusal("UNAVAILABLE", retry_after=0.4), refusal("RESOURCE_EXHAUSTED", retry_after=60.0)]
+    with pytest.raises(Refused) as error:
+        client("get_configuration", configuration="one")
+    assert error.value.code == "RESOURCE_EXHAUSTED" and error.value.retry_after == 60.0
+    first, second = (call[3] for call in server.calls)
+    assert first is not None and second is not None
+    assert 0.5 < first <= 1.01 and 0.0 < second <= 0.6
+
+
 @pytest.fixture(scope="module")
 def authority() -> trustme.CA:
     return trustme.CA()

@@ -1,8 +1,8 @@
-// Lift of a deformed aircraft and its gradient by the design variables, from a mesh service and a panel service:
+// Lift of a deformed aircraft and its gradient with respect to the design variables, from a mesh service and a panel service:
 //
 //     moldline-gradient 127.0.0.1:50051 127.0.0.1:50052 examples/e175 0.7 0.02
 //
-// with Mach number and angle of attack in radians. Two calls forward, two back, however many variables there are.
+// with Mach number and angle of attack (rad). Two calls forward and two back, whatever the number of variables.
 #include <cstdio>
 #include <exception>
 #include <string>
@@ -30,11 +30,11 @@ void run(const std::string& mesh_server, const std::string& panel_server, const 
   const auto analysis = configuration.analyze(moved.vertices, flow);
   std::printf("lift %.17g\n", analysis.coefficients.lift);
 
-  // Back: weights of the coefficients, gradient by the vertices, gradient by the design.
-  std::vector<double> weights(moldline::panel::Coefficients::count);
-  weights[0] = 1.0;
+  // Back: weights of the coefficients, gradient with respect to the vertices, gradient with respect to the design.
+  moldline::panel::Coefficients weights;
+  weights.lift = 1.0;
   moldline::panel::Seeds seeds;
-  seeds.coefficients = weights;
+  seeds.coefficients = {&weights, 1};
   const auto by_vertices = configuration.vjp(seeds, analysis.at(moved.vertices)).vertices;
   moldline::Seeds back;
   back.vertices = by_vertices;

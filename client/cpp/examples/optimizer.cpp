@@ -3,7 +3,7 @@
 //     moldline-optimizer 127.0.0.1:50051 examples/e175 setup-motions.toml
 //
 // A quasi-Newton method (BFGS with projection onto the bounds) takes the mesh from Deform and the gradient from ApplyAdjoint.
-// It stores every design that it accepts, so that it can be killed and go on: give it the session's id in place of the folder.
+// It stores every accepted design, so that it can be killed and continued: pass the session's id in place of the folder.
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
@@ -48,7 +48,7 @@ class Box {
     return scaled;
   }
 
-  /// A gradient by the design as one by scaled variables.
+  /// Gradient with respect to the scaled variables, from that with respect to the design.
   Vector gradient(const Vector& by_design) const {
     Vector gradient(by_design.size());
     for (std::size_t i = 0; i < gradient.size(); ++i) gradient[i] = by_design[i] * range_[i];
@@ -145,7 +145,7 @@ void run(const std::string& address, const std::string& source, const std::strin
               setup->vertex_count);
 
   const Box box(setup->variables);
-  // The mesh to be found again: halfway between the baseline and a third of the way through the box.
+  // The target mesh: halfway between the baseline and a third of the way through the box.
   Vector aim = box.scaled(setup.baseline());
   for (double& entry : aim) entry = 0.5 * entry + 0.5 / 3.0;
   const std::vector<moldline::Point> target = session.deform(box.design(aim)).vertices;
@@ -185,7 +185,7 @@ int main(int argc, char** argv) {
     std::fprintf(stderr, "usage: %s ADDRESS FOLDER [SETUP_FILE]  or  %s ADDRESS SESSION\n", argv[0], argv[0]);
     return 2;
   }
-  // Lines are written as they come, to a file too.
+  // Line buffering, for files too.
   std::setvbuf(stdout, nullptr, _IOLBF, BUFSIZ);
   try {
     run(argv[1], argv[2], argc > 3 ? argv[3] : "");

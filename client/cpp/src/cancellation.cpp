@@ -22,7 +22,7 @@ Cancellable::Cancellable(const std::optional<Cancellation>& cancellation, grpc::
   if (state_ == nullptr) return;
   const std::lock_guard lock(state_->mutex);
   state_->contexts.insert(&context_);
-  // A context that is cancelled before its call begins ends the call at once.
+  // Cancelling a context before its call starts ends the call immediately.
   if (state_->cancelled) context_.TryCancel();
 }
 

@@ -1,4 +1,4 @@
-// What a cancellation and the calls it ends share.
+// State shared by a cancellation and the calls that it ends.
 #pragma once
 
 #include <grpcpp/client_context.h>
@@ -15,13 +15,13 @@ struct Cancellation::State {
   std::mutex mutex;
   std::condition_variable changed;
   bool cancelled = false;
-  /// Of the attempts under way.
+  /// Contexts of running attempts.
   std::set<grpc::ClientContext*> contexts;
 };
 
 namespace internal {
 
-/// An attempt that a cancellation, if there is one, may end.
+/// Registers an attempt with a cancellation, if any, that may end it.
 class Cancellable {
  public:
   Cancellable(const std::optional<Cancellation>& cancellation, grpc::ClientContext& context);
@@ -34,7 +34,7 @@ class Cancellable {
   grpc::ClientContext& context_;
 };
 
-/// Waits, unless it is cancelled before: then throws `Cancelled`.
+/// Sleeps; throws `Cancelled` if cancelled meanwhile.
 void sleep(Seconds pause, const std::optional<Cancellation>& cancellation);
 
 }  // namespace internal

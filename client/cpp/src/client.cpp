@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <exception>
+#include <functional>
 #include <stdexcept>
 #include <thread>
 
@@ -17,15 +18,16 @@ using internal::add;
 using internal::append;
 using internal::Budget;
 using internal::Connection;
-using internal::length;
+using internal::Piece;
 using internal::read_all;
+using internal::write_vectors;
 using Stub = v1::MeshService::Stub;
 
 namespace {
 
 std::string request_id(const std::string& given) { return given.empty() ? internal::new_request_id() : given; }
 
-/// Calls, and takes it for done if there is nothing to remove: an attempt whose answer was lost may have done it.
+/// Calls, and ignores that there is nothing to remove: an earlier attempt whose answer was lost may have removed it.
 template <class Call>
 void gone(const Call& call) {
   try {
@@ -34,7 +36,7 @@ void gone(const Call& call) {
   }
 }
 
-/// Calls with the first vector and the number of vectors of pieces that fit one request.
+/// Calls with each piece of a block that fits one request.
 template <class Call>
 void pieces(const SetupFacts& setup, std::size_t count, const Call& call) {
   std::size_t points = setup.vertex_count;
@@ -75,18 +77,12 @@ Setup Client::create_setup(const std::filesystem::path& path, const CreateOption
   for (const std::string& tenant : options.shared_with) header.add_shared_with(tenant);
   const auto files = internal::files(path, header);
 
-  std::optional<v1::CreatedSetup> created;
-  const auto take = [&](v1::CreateSetupResponse& event) {
-    if (event.has_created()) {
-      created = std::move(*event.mutable_created());
-    } else if (options.progress) {
-      options.progress({event.progress().stage(), event.progress().fraction(), event.progress().message()});
-    }
-  };
+  internal::Outcome outcome(
+      options.progress, &v1::CreateSetupResponse::has_created, &v1::CreateSetupResponse::mutable_created);
   std::exception_ptr thrown;
   connection_->attempts(connection_->budget(options, no_limit), [&](grpc::ClientContext& context) {
     auto stream = connection_->stub().CreateSetup(&context);
-    // Progress is read while files are sent: neither side waits for the other.
+    // Reads progress while files are sent, so that neither side blocks the other.
     std::exception_ptr unreadable;
     std::thread writer([&] {
       try {
@@ -98,15 +94,15 @@ Setup Client::create_setup(const std::filesystem::path& path, const CreateOption
       }
     });
     v1::CreateSetupResponse event;
-    read_all(*stream, context, event, take, thrown);
+    read_all(*stream, context, event, std::ref(outcome), thrown);
     writer.join();
     const grpc::Status status = stream->Finish();
     if (unreadable) std::rethrow_exception(unreadable);
     if (thrown) std::rethrow_exception(thrown);
     return status;
   });
-  if (!created) throw InternalError("the server ended without a result", {}, std::nullopt);
-  return {connection_, internal::setup_facts(created->setup(), created->built())};
+  const v1::CreatedSetup& created = outcome.get();
+  return {connection_, internal::setup_facts(created.setup(), created.built())};
 }
 
 Setup Client::get_setup(const std::string& id, const CallOptions& options) const {
@@ -194,6 +190,21 @@ void Setup::remove(const CallOptions& options) const {
   gone([&] { connection_->call(&Stub::DeleteSetup, request, connection_->budget(options)); });
 }
 
+Check Setup::check(const CheckOptions& options) const {
+  v1::CheckRequest request;
+  request.set_setup_id(facts_->id);
+  if (options.design) {
+    internal::write_design(*options.design, request);
+  } else {
+    request.set_designs(options.designs);
+  }
+  request.mutable_variables()->Assign(options.variables.begin(), options.variables.end());
+  request.set_seed(options.seed);
+  internal::Outcome outcome(options.progress, &v1::CheckResponse::has_report, &v1::CheckResponse::mutable_report);
+  connection_->stream(&Stub::Check, request, connection_->budget(options, no_limit), [] {}, std::ref(outcome));
+  return internal::check(outcome.get());
+}
+
 Session Setup::session(const SessionOptions& options) const {
   v1::OpenSessionRequest request;
   request.set_setup_id(facts_->id);
@@ -231,22 +242,17 @@ Deformation Session::deform(const DesignPoint& point, const DeformOptions& optio
 
 Tangents Session::jvp(const Directions& directions, const At& at, const CallOptions& options) const {
   const Budget budget = connection_->budget(options);
-  const std::size_t variables = length(directions.design, directions.count, "design");
   Tangents tangents;
   tangents.count = directions.count;
-  pieces(setup_.facts(), directions.count, [&](std::size_t first, std::size_t count) {
+  pieces(setup_.facts(), directions.count, [&](const Piece& piece) {
     v1::ApplyJacobianVectorRequest request;
     request.set_session_id(state_.id);
     internal::write_at(at, *request.mutable_at());
-    if (variables > 0) {
-      const auto block = directions.design.sub(first * variables, count * variables);
-      internal::write(block, {count, variables}, *request.mutable_design());
-    }
+    write_vectors(directions.design, piece, "design", request, &v1::ApplyJacobianVectorRequest::mutable_design);
     for (const auto& [component, vectors] : directions.control_points) {
-      const std::size_t points = length(vectors, directions.count, "control_points");
       v1::ControlPointVectors& given = *request.add_control_points();
       given.set_component(component);
-      internal::write(vectors.sub(first * points, count * points), {count, points, 3}, *given.mutable_vectors());
+      write_vectors(vectors, piece, "control_points", given, &v1::ControlPointVectors::mutable_vectors);
     }
     const auto response = connection_->call(&Stub::ApplyJacobianVector, request, budget);
     append(tangents.vertices, internal::read<Point>(response.vertices()));
@@ -258,22 +264,14 @@ Tangents Session::jvp(const Directions& directions, const At& at, const CallOpti
 
 Gradients Session::vjp(const Seeds& seeds, const At& at, const CallOptions& options) const {
   const Budget budget = connection_->budget(options);
-  const std::size_t vertices = length(seeds.vertices, seeds.count, "vertices");
-  const std::size_t functions = length(seeds.functions, seeds.count, "functions");
   Gradients gradients;
   gradients.count = seeds.count;
-  pieces(setup_.facts(), seeds.count, [&](std::size_t first, std::size_t count) {
+  pieces(setup_.facts(), seeds.count, [&](const Piece& piece) {
     v1::ApplyAdjointRequest request;
     request.set_session_id(state_.id);
     internal::write_at(at, *request.mutable_at());
-    if (vertices > 0) {
-      const auto block = seeds.vertices.sub(first * vertices, count * vertices);
-      internal::write(block, {count, vertices, 3}, *request.mutable_vertices());
-    }
-    if (functions > 0) {
-      const auto block = seeds.functions.sub(first * functions, count * functions);
-      internal::write(block, {count, functions}, *request.mutable_functions());
-    }
+    write_vectors(seeds.vertices, piece, "vertices", request, &v1::ApplyAdjointRequest::mutable_vertices);
+    write_vectors(seeds.functions, piece, "functions", request, &v1::ApplyAdjointRequest::mutable_functions);
     request.set_include_design(seeds.by_design);
     for (const std::string& component : seeds.by_control_points) request.add_control_points_of(component);
     const auto response = connection_->call(&Stub::ApplyAdjoint, request, budget);
@@ -311,17 +309,11 @@ Jacobian Session::jacobian(const At& at, const JacobianOptions& options) const {
       options.progress({"jacobian", static_cast<double>(received) / static_cast<double>(columns), message});
     }
   };
-  std::exception_ptr thrown;
-  connection_->attempts(connection_->budget(options), [&](grpc::ClientContext& context) {
+  const auto begin = [&] {
     received = 0;
     jacobian.timings = {};
-    auto stream = connection_->stub().Jacobian(&context, request);
-    v1::JacobianResponse part;
-    read_all(*stream, context, part, take, thrown);
-    const grpc::Status status = stream->Finish();
-    if (thrown) std::rethrow_exception(thrown);
-    return status;
-  });
+  };
+  connection_->stream(&Stub::Jacobian, request, connection_->budget(options), begin, take);
   if (received != columns) throw InternalError("the server ended before the last column", {}, std::nullopt);
   return jacobian;
 }
@@ -336,7 +328,7 @@ SessionCloser::~SessionCloser() {
   try {
     session_.close();
   } catch (const std::exception&) {
-    // Nobody is left to tell; the session stays open.
+    // A destructor must not throw; the session stays open.
   }
 }
 

@@ -45,12 +45,12 @@ grpc::ChannelArguments arguments(const std::optional<Tls>& tls) {
   grpc::ChannelArguments arguments;
   arguments.SetMaxReceiveMessageSize(512 << 20);
   arguments.SetMaxSendMessageSize(512 << 20);
-  // Two clients in one process are two connections.
+  // Clients of one process do not share connections.
   arguments.SetInt(GRPC_ARG_USE_LOCAL_SUBCHANNEL_POOL, 1);
-  // A server that comes back is found at once, not minutes later.
+  // Reconnects to a restarted server within seconds instead of minutes.
   arguments.SetInt(GRPC_ARG_INITIAL_RECONNECT_BACKOFF_MS, 100);
   arguments.SetInt(GRPC_ARG_MAX_RECONNECT_BACKOFF_MS, 2000);
-  // A server that has gone without a word is noticed while a long call waits for it.
+  // Detects a server that has vanished while a long call waits for it.
   arguments.SetInt(GRPC_ARG_KEEPALIVE_TIME_MS, 60'000);
   if (tls && !tls->server_name.empty()) arguments.SetSslTargetNameOverride(tls->server_name);
   return arguments;
@@ -74,7 +74,7 @@ Caller::Caller(const std::string& address, const Options& options)
 
 Budget Caller::budget(const CallOptions& options, Seconds otherwise) const {
   const Seconds timeout = options.timeout.value_or(otherwise);
-  // More than a century is no limit: the clock could not count it.
+  // More than a century is no limit: it might overflow the clock.
   const bool limited = timeout < std::chrono::hours(24 * 365 * 100);
   return {
       limited ? Clock::now() + std::chrono::duration_cast<Clock::duration>(timeout) : Clock::time_point::max(),
@@ -98,7 +98,7 @@ void Caller::attempts(
     if (status.ok()) return;
     Failure failed_with = failure(status);
     if (failed_with.code == grpc::StatusCode::CANCELLED && Clock::now() >= budget.end) {
-      // A server that ends a call at its deadline may say so in this way.
+      // A server may report the deadline as a cancellation.
       failed_with.code = grpc::StatusCode::DEADLINE_EXCEEDED;
     }
     if (!again(failed_with) || failed >= options_.retry.attempts) raise(failed_with);

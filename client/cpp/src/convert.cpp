@@ -10,7 +10,7 @@ namespace moldline::internal {
 namespace {
 
 #if defined(__BYTE_ORDER__) && __BYTE_ORDER__ != __ORDER_LITTLE_ENDIAN__
-#error "arrays travel as little-endian bytes: this machine's would have to be turned round"
+#error "arrays travel as little-endian bytes: big-endian machines are not supported"
 #endif
 
 template <class T>
@@ -118,6 +118,16 @@ template std::vector<Point> read(const v1::Array&);
 template std::vector<std::uint32_t> read(const v1::Array&);
 template std::vector<std::array<std::uint32_t, 2>> read(const v1::Array&);
 template std::vector<std::array<double, 2>> read(const v1::Array&);
+template std::vector<std::array<double, 9>> read(const v1::Array&);
+
+Point point(const google::protobuf::RepeatedField<double>& values) {
+  if (values.size() != 3) {
+    throw InternalError("the server sent a vector that does not have three components", {}, std::nullopt);
+  }
+  return {values[0], values[1], values[2]};
+}
+
+Progress progress(const v1::Progress& message) { return {message.stage(), message.fraction(), message.message()}; }
 
 SetupFacts setup_facts(const v1::SetupDescription& message, bool built) {
   SetupFacts facts;

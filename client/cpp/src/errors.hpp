@@ -7,7 +7,7 @@
 
 namespace moldline::internal {
 
-/// What the server said of a failed call.
+/// Code and details of a failed call.
 struct Failure {
   grpc::StatusCode code;
   std::string message;

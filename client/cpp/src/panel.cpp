@@ -1,6 +1,7 @@
 #include "moldline/panel.hpp"
 
 #include <algorithm>
+#include <functional>
 #include <type_traits>
 
 #include "blocks.hpp"
@@ -12,8 +13,8 @@ namespace moldline::panel {
 
 using internal::append;
 using internal::Budget;
-using internal::length;
 using internal::PanelConnection;
+using internal::Piece;
 using Stub = v1::PanelService::Stub;
 
 namespace {
@@ -90,22 +91,49 @@ ConfigurationFacts facts(const v1::Configuration& message) {
   return facts;
 }
 
-Point point(const google::protobuf::RepeatedField<double>& values) {
-  if (values.size() != 3) throw InternalError("the server sent a vector that has not three parts", {}, std::nullopt);
-  return {values[0], values[1], values[2]};
+/// The scalar outputs in the order of the protocol: member, and field of the message.
+struct Coefficient {
+  double Coefficients::*member;
+  double (v1::FlowCoefficients::*field)() const;
+};
+constexpr Coefficient scalar_outputs[] = {
+    {&Coefficients::lift, &v1::FlowCoefficients::lift},
+    {&Coefficients::induced_drag, &v1::FlowCoefficients::induced_drag},
+    {&Coefficients::pressure_lift, &v1::FlowCoefficients::pressure_lift},
+    {&Coefficients::pressure_drag, &v1::FlowCoefficients::pressure_drag},
+    {&Coefficients::moment, &v1::FlowCoefficients::moment},
+    {&Coefficients::lift_slope, &v1::FlowCoefficients::lift_slope},
+    {&Coefficients::moment_slope, &v1::FlowCoefficients::moment_slope},
+    {&Coefficients::pressure_lift_slope, &v1::FlowCoefficients::pressure_lift_slope},
+    {&Coefficients::neutral_point, &v1::FlowCoefficients::neutral_point},
+};
+static_assert(std::size(scalar_outputs) == Coefficients::count);
+static_assert(sizeof(Coefficients) == Coefficients::count * sizeof(double));
+
+Coefficients coefficients(const v1::FlowCoefficients& message) {
+  Coefficients coefficients;
+  for (const auto& [member, field] : scalar_outputs) coefficients.*member = (message.*field)();
+  return coefficients;
+}
+
+/// A block of coefficients, (k, 9).
+std::vector<Coefficients> coefficients(const v1::Array& array) {
+  std::vector<Coefficients> block;
+  for (const auto& row : internal::read<std::array<double, Coefficients::count>>(array)) {
+    block.push_back(Coefficients::from(row));
+  }
+  return block;
 }
 
 Loads loads(const v1::Loads& message) {
-  return {point(message.force()), point(message.moment()), message.lift(), message.drag()};
+  return {internal::point(message.force()), internal::point(message.moment()), message.lift(), message.drag()};
 }
 
-Analysis analysis(const v1::Analysis& answer, const v1::FlowAnalysis& flow, const Flow& asked) {
+Analysis analysis(const v1::Analysis& answer, const v1::FlowAnalysis& flow, const Flow& requested) {
   Analysis analysis;
   analysis.id = answer.analysis_id();
-  analysis.flow = asked;
-  const v1::FlowCoefficients& c = flow.coefficients();
-  analysis.coefficients = {c.lift(),       c.induced_drag(), c.pressure_lift(),       c.pressure_drag(), c.moment(),
-                           c.lift_slope(), c.moment_slope(), c.pressure_lift_slope(), c.neutral_point()};
+  analysis.flow = requested;
+  analysis.coefficients = coefficients(flow.coefficients());
   analysis.wake_lift = flow.wake_lift();
   analysis.disagreement = flow.disagreement();
   analysis.total = loads(flow.total());
@@ -130,11 +158,11 @@ ConfigurationFacts create(
   return facts(connection.call(&Stub::CreateConfiguration, request, budget).configuration());
 }
 
-/// Calls; a configuration that the server has dropped is sent again, and the call repeated.
+/// Calls; if the server has dropped the configuration, sends it again and repeats the call.
 template <class Call>
 auto again(
-    const PanelConnection& connection, const v1::CreateConfigurationRequest* request, const Budget& budget,
-    const Call& call) {
+    const PanelConnection& connection, const v1::CreateConfigurationRequest* request, const std::string& id,
+    const Budget& budget, const Call& call) {
   try {
     return call();
   } catch (const NotFound& error) {
@@ -143,33 +171,25 @@ auto again(
         violations.begin(), violations.end(), [](const auto& each) { return each.field == "configuration_id"; });
     if (request == nullptr || !dropped) throw;
   }
-  create(connection, *request, budget);
+  if (create(connection, *request, budget).id != id) {
+    throw InternalError("the server gives the same configuration another id", {}, std::nullopt);
+  }
   return call();
 }
 
-/// Writes the part of a block that a request takes; `alone`: whether a vector is one value, which has no axis.
-template <class T, class Target>
-void write_block(
-    View<T> block, std::size_t all, std::size_t first, std::size_t count, const char* name, bool alone,
-    const Target& array) {
-  const std::size_t each = length(block, all, name);
-  if (each == 0) return;
-  const auto part = block.sub(first * each, count * each);
-  v1::Array& target = *array();
-  if constexpr (std::is_same_v<T, Point>) {
-    if (alone) {
-      internal::write(part, {count, 3}, target);
-    } else {
-      internal::write(part, {count, each, 3}, target);
-    }
-  } else if (alone) {
-    internal::write(part, {count}, target);
-  } else {
-    internal::write(part, {count, each}, target);
-  }
+}  // namespace
+
+std::array<double, Coefficients::count> Coefficients::array() const {
+  std::array<double, count> values{};
+  for (std::size_t i = 0; i < count; ++i) values[i] = this->*scalar_outputs[i].member;
+  return values;
 }
 
-}  // namespace
+Coefficients Coefficients::from(const std::array<double, count>& values) {
+  Coefficients coefficients;
+  for (std::size_t i = 0; i < count; ++i) coefficients.*scalar_outputs[i].member = values[i];
+  return coefficients;
+}
 
 Client::Client(const std::string& address, const Options& options)
     : connection_(std::make_shared<PanelConnection>(address, options)) {}
@@ -221,60 +241,44 @@ std::vector<Analysis> Configuration::sweep(
   for (const Wind& wind : winds) write(wind, *request.add_flows());
   write(reference, *request.mutable_reference());
 
-  std::optional<v1::Analysis> found;
-  const auto take = [&](v1::AnalyzeResponse& event) {
-    if (event.has_analysis()) {
-      found = std::move(*event.mutable_analysis());
-    } else if (options.progress) {
-      options.progress({event.progress().stage(), event.progress().fraction(), event.progress().message()});
-    }
-  };
+  internal::Outcome outcome(
+      options.progress, &v1::AnalyzeResponse::has_analysis, &v1::AnalyzeResponse::mutable_analysis);
   const Budget budget = connection_->budget(options);
-  again(*connection_, request_.get(), budget, [&] {
-    std::exception_ptr thrown;
-    connection_->attempts(budget, [&](grpc::ClientContext& context) {
-      auto stream = connection_->stub().Analyze(&context, request);
-      v1::AnalyzeResponse event;
-      internal::read_all(*stream, context, event, take, thrown);
-      const grpc::Status status = stream->Finish();
-      if (thrown) std::rethrow_exception(thrown);
-      return status;
-    });
+  again(*connection_, request_.get(), facts_.id, budget, [&] {
+    connection_->stream(&Stub::Analyze, request, budget, [] {}, std::ref(outcome));
   });
-  if (!found || static_cast<std::size_t>(found->flows_size()) != winds.size()) {
-    throw InternalError("the server ended without a result", {}, std::nullopt);
+  const v1::Analysis& answer = outcome.get();
+  if (static_cast<std::size_t>(answer.flows_size()) != winds.size()) {
+    throw InternalError("the server's answer lacks an analysis for each wind", {}, std::nullopt);
   }
   std::vector<Analysis> analyses;
   for (std::size_t i = 0; i < winds.size(); ++i) {
-    analyses.push_back(analysis(*found, found->flows(static_cast<int>(i)), {mach, winds[i], reference}));
+    analyses.push_back(analysis(answer, answer.flows(static_cast<int>(i)), {mach, winds[i], reference}));
   }
   return analyses;
 }
 
 Tangents Configuration::jvp(const Directions& directions, const AnalysisPoint& at, const CallOptions& options) const {
+  using Inputs = v1::FlowInputs;
   const Budget budget = connection_->budget(options);
-  const std::size_t all = directions.count;
   Tangents tangents;
-  tangents.count = all;
-  internal::pieces(std::max(facts_.vertex_count, facts_.cell_count), all, [&](std::size_t first, std::size_t count) {
+  tangents.count = directions.count;
+  internal::pieces(std::max(facts_.vertex_count, facts_.cell_count), directions.count, [&](const Piece& piece) {
     v1::PanelServiceApplyJacobianVectorRequest request;
     request.set_configuration_id(facts_.id);
     write(at, *request.mutable_at());
-    v1::FlowInputs& inputs = *request.mutable_directions();
-    const auto block = [&](auto view, const char* name, bool alone, v1::Array* (v1::FlowInputs::*array)()) {
-      write_block(view, all, first, count, name, alone, [&] { return (inputs.*array)(); });
-    };
-    block(directions.vertices, "vertices", false, &v1::FlowInputs::mutable_vertices);
-    block(directions.alpha, "alpha", true, &v1::FlowInputs::mutable_alpha);
-    block(directions.sideslip, "sideslip", true, &v1::FlowInputs::mutable_sideslip);
-    block(directions.mach, "mach", true, &v1::FlowInputs::mutable_mach);
-    block(directions.area, "area", true, &v1::FlowInputs::mutable_area);
-    block(directions.chord, "chord", true, &v1::FlowInputs::mutable_chord);
-    block(directions.point, "point", true, &v1::FlowInputs::mutable_point);
-    const auto response = again(*connection_, request_.get(), budget, [&] {
+    Inputs& inputs = *request.mutable_directions();
+    internal::write_vectors(directions.vertices, piece, "vertices", inputs, &Inputs::mutable_vertices);
+    internal::write_entries(directions.alpha, piece, "alpha", inputs, &Inputs::mutable_alpha);
+    internal::write_entries(directions.sideslip, piece, "sideslip", inputs, &Inputs::mutable_sideslip);
+    internal::write_entries(directions.mach, piece, "mach", inputs, &Inputs::mutable_mach);
+    internal::write_entries(directions.area, piece, "area", inputs, &Inputs::mutable_area);
+    internal::write_entries(directions.chord, piece, "chord", inputs, &Inputs::mutable_chord);
+    internal::write_entries(directions.point, piece, "point", inputs, &Inputs::mutable_point);
+    const auto response = again(*connection_, request_.get(), facts_.id, budget, [&] {
       return connection_->call(&Stub::ApplyJacobianVector, request, budget);
     });
-    append(tangents.coefficients, internal::read<double>(response.changes().coefficients()));
+    append(tangents.coefficients, coefficients(response.changes().coefficients()));
     append(tangents.section_loads, internal::read<double>(response.changes().section_loads()));
     append(tangents.cp, internal::read<double>(response.changes().cp()));
     internal::add(tangents.timings, response.timings());
@@ -283,22 +287,24 @@ Tangents Configuration::jvp(const Directions& directions, const AnalysisPoint& a
 }
 
 Gradients Configuration::vjp(const Seeds& seeds, const AnalysisPoint& at, const CallOptions& options) const {
+  using Outputs = v1::FlowOutputs;
   const Budget budget = connection_->budget(options);
-  const std::size_t all = seeds.count;
+  std::vector<double> weights;
+  for (const Coefficients& each : seeds.coefficients) {
+    const auto values = each.array();
+    weights.insert(weights.end(), values.begin(), values.end());
+  }
   Gradients gradients;
-  gradients.count = all;
-  internal::pieces(std::max(facts_.vertex_count, facts_.cell_count), all, [&](std::size_t first, std::size_t count) {
+  gradients.count = seeds.count;
+  internal::pieces(std::max(facts_.vertex_count, facts_.cell_count), seeds.count, [&](const Piece& piece) {
     v1::PanelServiceApplyAdjointRequest request;
     request.set_configuration_id(facts_.id);
     write(at, *request.mutable_at());
-    v1::FlowOutputs& outputs = *request.mutable_seeds();
-    const auto block = [&](View<double> view, const char* name, v1::Array* (v1::FlowOutputs::*array)()) {
-      write_block(view, all, first, count, name, false, [&] { return (outputs.*array)(); });
-    };
-    block(seeds.coefficients, "coefficients", &v1::FlowOutputs::mutable_coefficients);
-    block(seeds.section_loads, "section_loads", &v1::FlowOutputs::mutable_section_loads);
-    block(seeds.cp, "cp", &v1::FlowOutputs::mutable_cp);
-    const auto response = again(*connection_, request_.get(), budget, [&] {
+    Outputs& outputs = *request.mutable_seeds();
+    internal::write_vectors<double>(weights, piece, "coefficients", outputs, &Outputs::mutable_coefficients);
+    internal::write_vectors(seeds.section_loads, piece, "section_loads", outputs, &Outputs::mutable_section_loads);
+    internal::write_vectors(seeds.cp, piece, "cp", outputs, &Outputs::mutable_cp);
+    const auto response = again(*connection_, request_.get(), facts_.id, budget, [&] {
       return connection_->call(&Stub::ApplyAdjoint, request, budget);
     });
     const v1::FlowInputs& inputs = response.gradients();

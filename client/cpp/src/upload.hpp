@@ -1,4 +1,4 @@
-// A set-up's files as messages.
+// Upload of a set-up's files.
 #pragma once
 
 #include <filesystem>
@@ -9,10 +9,10 @@
 
 namespace moldline::internal {
 
-/// The files to send, after they have been entered in the header: an archive, or all of a folder but hidden ones.
+/// Enters the files to send in the header: an archive, or all files of a folder except hidden ones and Python's caches.
 std::vector<std::filesystem::path> files(const std::filesystem::path& path, v1::SetupHeader& header);
 
-/// Sends the header, then the files' bytes, until `send` says that nobody takes them any more. Throws
+/// Sends the header, then the files' bytes, until `send` returns false: the call has ended. Throws
 /// `std::invalid_argument` if a file cannot be read.
 void upload(
     const v1::SetupHeader& header, const std::vector<std::filesystem::path>& files,

@@ -1,4 +1,4 @@
-//! Deforms a mesh to several designs at a time, and takes the gradient of the enclosed volume at each of them.
+//! Deforms a mesh to several designs concurrently, and takes the gradient of the enclosed volume at each of them.
 //!
 //!     cargo run --release -p moldline-client --example sweep -- 127.0.0.1:50051 examples/e175 setup-motions.toml wing.translation
 

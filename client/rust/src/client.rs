@@ -1,47 +1,42 @@
-//! Client, set-ups and sessions.
+//! Client, set-ups and sessions of the mesh service.
 
-use std::{
-    fmt,
-    ops::{AddAssign, Deref, Range},
-    path::Path,
-    sync::Arc,
-    time::Duration,
-};
+use std::{fmt, ops::Deref, path::Path, sync::Arc, time::Duration};
 
-use moldline_proto::v1::{self, create_setup_response::Event};
+use moldline_proto::v1::{self, mesh_service_client::MeshServiceClient};
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
+use tonic::transport::Channel;
 use uuid::Uuid;
 
 use crate::{
-    At, Code, ControlPoints, Deformation, DesignPoint, Directions, Error, Gradients, Jacobian, Mesh, Options,
-    Point, Progress, Seeds, SessionState, SessionUpdate, SetupFacts, SetupSummary, Status, Tangents, Timings,
-    Visibility,
-    connection::{Connection, Deadline},
-    convert, upload,
+    At, Check, Code, ControlPoints, Deformation, Design, DesignPoint, Directions, Error, Gradients, Jacobian,
+    Mesh, Options, Progress, Seeds, SessionState, SessionUpdate, SetupFacts, SetupSummary, Status, Tangents,
+    Tell, Timings, Visibility,
+    blocks::{pieces, vectors},
+    check,
+    connection::{self, Deadline},
+    convert,
+    progress::{self, Event},
+    upload,
 };
 
-/// Vectors and bytes of one request, within the server's usual limits; larger blocks go in several requests.
-const MOST_VECTORS: usize = 64;
-const MOST_BYTES: usize = 32 << 20;
+type Stub = MeshServiceClient<Channel>;
+type Connection = connection::Connection<Stub>;
 
-/// Takes each step of something long.
-pub type Tell = Box<dyn Fn(Progress) + Send + Sync>;
-
-/// Of [`Client::create_setup`].
+/// Options of [`Client::create_setup`].
 #[derive(Default)]
 pub struct CreateOptions {
     /// The file that describes the set-up; the server's usual names if empty.
     pub setup_file: String,
-    /// Who else may use it. If absent, nobody if it is new, else as it was.
+    /// Who else may use it. If absent, nobody if it is new, else unchanged.
     pub visibility: Option<Visibility>,
-    /// Tenants, with [`Visibility::Tenants`].
+    /// Names of tenants, with [`Visibility::Tenants`].
     pub shared_with: Vec<String>,
-    /// Is told how far it has come.
+    /// Callback for progress.
     pub progress: Option<Tell>,
-    /// Name of this request, so that a retry is recognised; made up if absent.
+    /// Name of this request, by which a retry is recognised; random if absent.
     pub request_id: Option<String>,
-    /// How long it may take; no limit if absent.
+    /// Timeout over all attempts; no limit if absent.
     pub timeout: Option<Duration>,
 }
 
@@ -51,7 +46,39 @@ impl fmt::Debug for CreateOptions {
     }
 }
 
-/// A connection to a server. Clones share it, as do set-ups and sessions.
+/// Options of [`Setup::check`].
+pub struct CheckOptions {
+    /// Number of designs: the baseline, then random ones far from it.
+    pub designs: u32,
+    /// The only design to check at, in their place.
+    pub design: Option<Design>,
+    /// Names of variables or of groups of them whose derivatives are compared with dual numbers and central differences;
+    /// all if empty.
+    pub variables: Vec<String>,
+    /// Seed of the random designs and vectors.
+    pub seed: u64,
+    /// Callback for progress.
+    pub progress: Option<Tell>,
+    /// Timeout over all attempts; no limit if absent. A check of a large set-up takes minutes.
+    pub timeout: Option<Duration>,
+}
+
+impl Default for CheckOptions {
+    fn default() -> Self {
+        Self { designs: 1, design: None, variables: Vec::new(), seed: 1, progress: None, timeout: None }
+    }
+}
+
+impl fmt::Debug for CheckOptions {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { designs, design, variables, seed, .. } = self;
+        let mut fields = f.debug_struct("CheckOptions");
+        fields.field("designs", designs).field("design", design).field("variables", variables);
+        fields.field("seed", seed).finish_non_exhaustive()
+    }
+}
+
+/// A connection to a mesh service. Clones share it, as do set-ups and sessions.
 #[derive(Clone, Debug)]
 pub struct Client {
     connection: Arc<Connection>,
@@ -59,33 +86,33 @@ pub struct Client {
 }
 
 impl Client {
-    /// To an address such as `127.0.0.1:50051`, in plain text; connects when it is first used.
+    /// A client of the server at an address such as `127.0.0.1:50051`, in plain text; connects on first use.
     ///
     /// # Errors
-    /// [`Code::Client`] if that is no address.
+    /// [`Code::Client`] if the address is invalid.
     pub fn new(address: &str) -> Result<Self, Error> {
         Self::with(address, &Options::default())
     }
 
-    /// To an address such as `127.0.0.1:50051`; connects when it is first used.
+    /// A client of the server at an address such as `127.0.0.1:50051`; connects on first use.
     ///
     /// # Errors
-    /// [`Code::Client`] if that is no address, or a file of the options cannot be used.
+    /// [`Code::Client`] if the address is invalid, or a file of the options cannot be used.
     pub fn with(address: &str, options: &Options) -> Result<Self, Error> {
         Ok(Self { connection: Arc::new(Connection::new(address, options)?), timeout: options.timeout })
     }
 
-    /// The same connection, with another limit for the time of each call.
+    /// The same connection with another timeout of each call.
     #[must_use]
     pub fn with_timeout(&self, timeout: Option<Duration>) -> Self {
         Self { connection: self.connection.clone(), timeout }
     }
 
-    /// Uploads and builds a set-up; the same content again gives the set-up that exists. `path` is its folder, or an
-    /// archive of it (.tar, .tar.gz, .tgz, .zip).
+    /// Uploads and builds a set-up; identical content returns the existing set-up. `path` is its folder, or an archive of
+    /// it (.tar, .tar.gz, .tgz, .zip).
     ///
     /// # Errors
-    /// [`Code::InvalidArgument`] naming every field that is wrong.
+    /// [`Code::InvalidArgument`] naming every wrong field.
     pub async fn create_setup(&self, path: impl AsRef<Path>, options: CreateOptions) -> Result<Setup, Error> {
         let (files, source) = upload::files(path.as_ref())?;
         let header = v1::SetupHeader {
@@ -97,31 +124,24 @@ impl Client {
         };
         let files = Arc::new(files);
         let progress = options.progress.as_deref();
-        let attempt = |mut stub: crate::connection::Stub, request: tonic::Request<()>| {
+        let attempt = |mut stub: Stub, request: tonic::Request<()>| {
             let (header, files) = (header.clone(), files.clone());
             async move {
                 let (sender, receiver) = mpsc::channel(4);
                 let upload = tokio::task::spawn_blocking(move || upload::upload(header, &files, &sender));
                 let request = request.map(|()| ReceiverStream::new(receiver));
                 let answer = async {
-                    let mut events = stub.create_setup(request).await?.into_inner();
-                    let mut created = None;
-                    while let Some(event) = events.message().await? {
-                        match (event.event, progress) {
-                            (Some(Event::Created(setup)), _) => created = Some(setup),
-                            (
-                                Some(Event::Progress(v1::Progress { stage, fraction, message })),
-                                Some(tell),
-                            ) => {
-                                tell(Progress { stage, fraction, message });
-                            }
-                            _ => {}
-                        }
-                    }
-                    created.ok_or_else(|| Error::internal("the server ended without a result"))
+                    let events = stub.create_setup(request).await?.into_inner();
+                    let event = |message: v1::CreateSetupResponse| {
+                        message.event.map(|event| match event {
+                            v1::create_setup_response::Event::Progress(progress) => Event::Progress(progress),
+                            v1::create_setup_response::Event::Created(setup) => Event::Result(setup),
+                        })
+                    };
+                    progress::result(events, progress, event).await
                 };
                 let answer = answer.await;
-                // A file that could not be read is why the server got too little.
+                // A file that could not be read explains why the server received too little.
                 match upload.await {
                     Ok(Err(error)) => Err(error),
                     _ => answer,
@@ -132,10 +152,10 @@ impl Client {
         Ok(Setup::new(self, convert::setup_facts(created.setup, created.built)?))
     }
 
-    /// The set-up of that id.
+    /// The set-up with this id.
     ///
     /// # Errors
-    /// [`Code::NotFound`] if there is none that the caller may see.
+    /// [`Code::NotFound`] if the caller can see no such set-up.
     pub async fn get_setup(&self, id: &str) -> Result<Setup, Error> {
         self.get_setup_until(id, self.deadline()).await
     }
@@ -156,7 +176,7 @@ impl Client {
             .await
     }
 
-    /// The set-ups that the caller may use: its own, those shared with it, and public ones; in the order of their ids.
+    /// The set-ups that the caller may use (its own, shared and public ones), ordered by id.
     ///
     /// # Errors
     /// Those of any call.
@@ -177,10 +197,10 @@ impl Client {
         }
     }
 
-    /// The open session of that id, on whichever server it was opened.
+    /// The open session with this id, on whichever server of the store it was opened.
     ///
     /// # Errors
-    /// [`Code::NotFound`] if there is none that the caller may see.
+    /// [`Code::NotFound`] if the caller can see no such session.
     pub async fn resume(&self, session_id: &str) -> Result<Session, Error> {
         let deadline = self.deadline();
         let state = self.get_session(session_id, deadline).await?;
@@ -197,7 +217,7 @@ impl Client {
         convert::session_state(response.session)
     }
 
-    /// The caller's open sessions, without their designs; in the order of their ids.
+    /// The caller's open sessions without their designs, ordered by id.
     ///
     /// # Errors
     /// Those of any call.
@@ -220,7 +240,7 @@ impl Client {
         }
     }
 
-    /// What the server does and holds: of the caller's tenant, or of all for administrators.
+    /// Load, caches and store of the server: the caller's tenant's share, or all of it for administrators.
     ///
     /// # Errors
     /// Those of any call.
@@ -257,7 +277,7 @@ impl Setup {
         Self { client: client.clone(), facts: Arc::new(facts) }
     }
 
-    /// The same, with another limit for the time of each call.
+    /// The same with another timeout of each call.
     #[must_use]
     pub fn with_timeout(&self, timeout: Option<Duration>) -> Self {
         Self { client: self.client.with_timeout(timeout), facts: self.facts.clone() }
@@ -273,7 +293,7 @@ impl Setup {
         convert::mesh(self.client.setup_parts(request, self.client.deadline()).await?.mesh)
     }
 
-    /// The control points of the baseline, metres.
+    /// Control points of all components at the baseline, metres.
     ///
     /// # Errors
     /// Those of any call.
@@ -287,10 +307,10 @@ impl Setup {
         convert::control_points(&response.control_points)
     }
 
-    /// Changes who else may use a set-up of the caller's own; `shared_with` names tenants with [`Visibility::Tenants`].
+    /// Changes who else may use a set-up that the caller owns; `shared_with` names tenants with [`Visibility::Tenants`].
     ///
     /// # Errors
-    /// [`Code::NotFound`] or [`Code::PermissionDenied`] if it is not the caller's own.
+    /// [`Code::NotFound`] or [`Code::PermissionDenied`] if the caller does not own it.
     pub async fn share(&mut self, visibility: Visibility, shared_with: &[&str]) -> Result<(), Error> {
         let request = v1::ShareSetupRequest {
             setup_id: self.id.clone(),
@@ -306,7 +326,8 @@ impl Setup {
         Ok(())
     }
 
-    /// Gives up a set-up of the caller's own. Sessions open on it go on; whoever else uploaded the same content keeps it.
+    /// Gives up the caller's ownership of the set-up. Its open sessions continue, and other owners of the same content keep
+    /// it.
     ///
     /// # Errors
     /// Those of any call.
@@ -319,7 +340,40 @@ impl Setup {
         gone(response.await.map(drop))
     }
 
-    /// Opens a session with a label for people, which may be empty.
+    /// Checks the derivatives: products against their transposes, dual numbers and central differences.
+    ///
+    /// # Errors
+    /// [`Code::InvalidArgument`] naming the wrong field, [`Code::ResourceExhausted`] while other checks are running.
+    pub async fn check(&self, options: CheckOptions) -> Result<Check, Error> {
+        let at = match &options.design {
+            None => Some(v1::check_request::At::Designs(options.designs)),
+            Some(design) => convert::design(design).map(Into::into),
+        };
+        let request = v1::CheckRequest {
+            setup_id: self.id.clone(),
+            at,
+            seed: options.seed,
+            variables: options.variables,
+        };
+        let progress = options.progress.as_deref();
+        let attempt = |mut stub: Stub, empty: tonic::Request<()>| {
+            let request = empty.map(|()| request.clone());
+            async move {
+                let events = stub.check(request).await?.into_inner();
+                let event = |message: v1::CheckResponse| {
+                    message.event.map(|event| match event {
+                        v1::check_response::Event::Progress(progress) => Event::Progress(progress),
+                        v1::check_response::Event::Report(report) => Event::Result(report),
+                    })
+                };
+                progress::result(events, progress, event).await
+            }
+        };
+        let deadline = Deadline::after(options.timeout);
+        check::check(self.client.connection.attempts(deadline, attempt).await?)
+    }
+
+    /// Opens a session with a descriptive label, which may be empty.
     ///
     /// # Errors
     /// Those of any call.
@@ -327,10 +381,10 @@ impl Setup {
         self.session_as(label, None).await
     }
 
-    /// Opens a session by a request that is named, so that a retry is recognised.
+    /// Opens a session by a request with an id, by which a retry is recognised.
     ///
     /// # Errors
-    /// [`Code::AlreadyExists`] if the id named a request with other content before.
+    /// [`Code::AlreadyExists`] if an earlier request with other content had this id.
     pub async fn session_as(&self, label: &str, request: Option<String>) -> Result<Session, Error> {
         let request = v1::OpenSessionRequest {
             setup_id: self.id.clone(),
@@ -345,10 +399,10 @@ impl Setup {
     }
 }
 
-/// Work on one set-up, apart from all other sessions.
+/// A session: work on one set-up, isolated from all other sessions.
 ///
-/// The server keeps it, with the design that was stored last, over restarts and until it is closed: an optimizer stores
-/// where it has got to ([`Session::update`]), and goes on from there ([`Client::resume`]) when it was interrupted itself.
+/// The server keeps it with the design stored last, across restarts and until it is closed: an optimizer stores its
+/// accepted designs ([`Session::update`]), and continues from the last one after an interruption ([`Client::resume`]).
 #[derive(Clone, Debug)]
 pub struct Session {
     setup: Setup,
@@ -361,21 +415,21 @@ impl Session {
         &self.setup
     }
 
-    /// The session as it was stored when it was last opened, resumed, updated or refreshed here.
+    /// The stored state, as of the last opening, resumption, update or refresh here.
     pub fn state(&self) -> &SessionState {
         &self.state
     }
 
-    /// The same, with another limit for the time of each call.
+    /// The same with another timeout of each call.
     #[must_use]
     pub fn with_timeout(&self, timeout: Option<Duration>) -> Self {
         Self { setup: self.setup.with_timeout(timeout), state: self.state.clone() }
     }
 
-    /// Stores the session's design, label or both. When it returns, it is durable.
+    /// Stores the session's design, label or both, durably.
     ///
     /// # Errors
-    /// [`Code::Aborted`] if the session has been updated elsewhere since: [`Session::refresh`] reads what is there now.
+    /// [`Code::Aborted`] if the session has been updated elsewhere since: [`Session::refresh`] reads the current state.
     pub async fn update(&mut self, update: &SessionUpdate) -> Result<(), Error> {
         let request = v1::UpdateSessionRequest {
             session_id: self.state.id.clone(),
@@ -403,15 +457,15 @@ impl Session {
     /// The mesh at a design. A pure function: the same design gives the same bytes.
     ///
     /// # Errors
-    /// [`Code::InvalidArgument`] naming the entry that is wrong, [`Code::FailedPrecondition`] if the mesh cannot follow.
+    /// [`Code::InvalidArgument`] naming the wrong entry, [`Code::FailedPrecondition`] if the mesh cannot follow.
     pub async fn deform(&self, point: impl Into<DesignPoint>) -> Result<Deformation, Error> {
         self.deform_measured(point, false).await
     }
 
-    /// As [`Session::deform`], with the measures of every cell if they are wanted.
+    /// The same, optionally with the quality measures of every cell.
     ///
     /// # Errors
-    /// As there.
+    /// As [`Session::deform`].
     pub async fn deform_measured(
         &self,
         point: impl Into<DesignPoint>,
@@ -425,28 +479,28 @@ impl Session {
         convert::deformation(response.await?, point)
     }
 
-    /// How the outputs change along directions of the inputs: `J v`, exactly.
+    /// Jacobian-vector products `J v`, exactly: changes of the outputs along directions of the inputs.
     ///
     /// # Errors
-    /// [`Code::InvalidArgument`] naming the entry that is wrong, [`Code::NotFound`] for a bare id of a linearisation that
-    /// the server does not hold any more.
+    /// [`Code::InvalidArgument`] naming the wrong entry, [`Code::NotFound`] for a bare id of a linearisation that the
+    /// server no longer holds.
     pub async fn jvp(&self, directions: &Directions, at: impl Into<At>) -> Result<Tangents, Error> {
         let deadline = self.deadline();
         let at = convert::at(&at.into());
         let count = directions.count;
         let mut tangents = Tangents { count, ..Tangents::default() };
-        for piece in pieces(&self.setup, count)? {
+        for piece in pieces(points(&self.setup), count)? {
             let mut control_points = Vec::new();
-            for (component, vectors) in &directions.control_points {
+            for (component, points) in &directions.control_points {
                 control_points.push(v1::ControlPointVectors {
                     component: component.clone(),
-                    vectors: block(vectors.as_flattened(), count, &piece, 3, "control_points")?,
+                    vectors: vectors(points, count, &piece, "control_points")?,
                 });
             }
             let request = v1::ApplyJacobianVectorRequest {
                 session_id: self.state.id.clone(),
                 at: Some(at.clone()),
-                design: block(&directions.design, count, &piece, 1, "design")?,
+                design: vectors(&directions.design, count, &piece, "design")?,
                 control_points,
             };
             let response = self.connection().call(deadline, request, |mut stub, request| async move {
@@ -460,7 +514,7 @@ impl Session {
         Ok(tangents)
     }
 
-    /// Gradients of weighted sums of the outputs by the inputs: `J^T w`, exactly.
+    /// Vector-Jacobian products `J^T w`, exactly: gradients of weighted sums of the outputs with respect to the inputs.
     ///
     /// # Errors
     /// As [`Session::jvp`].
@@ -469,12 +523,12 @@ impl Session {
         let at = convert::at(&at.into());
         let count = seeds.count;
         let mut gradients = Gradients { count, ..Gradients::default() };
-        for piece in pieces(&self.setup, count)? {
+        for piece in pieces(points(&self.setup), count)? {
             let request = v1::ApplyAdjointRequest {
                 session_id: self.state.id.clone(),
                 at: Some(at.clone()),
-                vertices: block(seeds.vertices.as_flattened(), count, &piece, 3, "vertices")?,
-                functions: block(&seeds.functions, count, &piece, 1, "functions")?,
+                vertices: vectors(&seeds.vertices, count, &piece, "vertices")?,
+                functions: vectors(&seeds.functions, count, &piece, "functions")?,
                 include_design: seeds.by_design,
                 control_points_of: seeds.by_control_points.clone(),
             };
@@ -494,7 +548,8 @@ impl Session {
         Ok(gradients)
     }
 
-    /// Derivatives of all outputs by all design variables, exactly; received in blocks, of which `progress` is told.
+    /// The Jacobian, exactly: derivatives of all outputs with respect to all design variables. Blocks are reported to
+    /// `progress` as they are received.
     ///
     /// # Errors
     /// As [`Session::jvp`].
@@ -503,7 +558,7 @@ impl Session {
             v1::JacobianRequest { session_id: self.state.id.clone(), at: Some(convert::at(&at.into())) };
         let columns = self.setup.variables.len();
         let progress = progress.as_deref();
-        let attempt = |mut stub: crate::connection::Stub, empty: tonic::Request<()>| {
+        let attempt = |mut stub: Stub, empty: tonic::Request<()>| {
             let request = empty.map(|()| request.clone());
             async move {
                 let mut jacobian = Jacobian {
@@ -564,7 +619,7 @@ fn request_id(given: Option<String>) -> String {
     given.unwrap_or_else(|| Uuid::new_v4().simple().to_string())
 }
 
-/// What is not there has been removed already, perhaps by an attempt whose answer was lost.
+/// Success if there is nothing to remove: an earlier attempt whose answer was lost may have removed it.
 fn gone(removed: Result<(), Error>) -> Result<(), Error> {
     match removed {
         Err(error) if error.code == Code::NotFound => Ok(()),
@@ -572,45 +627,7 @@ fn gone(removed: Result<(), Error>) -> Result<(), Error> {
     }
 }
 
-/// Ranges of vectors that fit one request.
-fn pieces(
-    setup: &SetupFacts,
-    count: usize,
-) -> Result<impl Iterator<Item = Range<usize>> + Send + use<>, Error> {
-    if count == 0 {
-        return Err(Error::client("there is nothing to multiply with: `count` is 0"));
-    }
-    let points = setup.vertex_count + setup.control_point_counts.iter().sum::<usize>();
-    let step = (MOST_BYTES / (size_of::<Point>() * points.max(1))).clamp(1, MOST_VECTORS);
-    Ok((0..count).step_by(step).map(move |first| first..count.min(first + step)))
-}
-
-/// Some of `count` vectors, whose entries have `width` numbers; nothing if there are no values.
-fn block(
-    values: &[f64],
-    count: usize,
-    piece: &Range<usize>,
-    width: usize,
-    name: &str,
-) -> Result<Option<v1::Array>, Error> {
-    if values.is_empty() {
-        return Ok(None);
-    }
-    if !values.len().is_multiple_of(count * width) {
-        let values = values.len() / width;
-        let message =
-            format!("{name} has {values} entries, which are not {count} vectors of the same length");
-        return Err(Error::client(message));
-    }
-    let length = values.len() / count;
-    let shape = [piece.len(), length / width, width];
-    let shape = if width == 1 { &shape[..2] } else { &shape };
-    Ok(Some(convert::array(&values[piece.start * length..piece.end * length], shape)))
-}
-
-impl AddAssign for Timings {
-    fn add_assign(&mut self, other: Self) {
-        self.queue += other.queue;
-        self.engine += other.engine;
-    }
+/// Points that belong to one vector of inputs or outputs.
+fn points(setup: &SetupFacts) -> usize {
+    setup.vertex_count + setup.control_point_counts.iter().sum::<usize>()
 }

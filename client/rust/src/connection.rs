@@ -1,4 +1,4 @@
-//! Calls, each in as many attempts as it takes.
+//! Connections to a service, and calls with deadlines and retries.
 
 use std::{
     fs,
@@ -7,7 +7,7 @@ use std::{
     time::Duration,
 };
 
-use moldline_proto::v1::mesh_service_client::MeshServiceClient;
+use moldline_proto::v1::{mesh_service_client::MeshServiceClient, panel_service_client::PanelServiceClient};
 use tokio::time::{Instant, sleep, timeout_at};
 use tonic::{
     Request, Response, Status,
@@ -19,37 +19,55 @@ use crate::{Code, Error};
 
 /// Bytes of the largest message.
 const LARGEST_MESSAGE: usize = 512 << 20;
-/// Bytes that may be under way before they are taken: an answer of usual size comes in one go.
+/// Flow-control window in bytes: a response of usual size needs no window update.
 const WINDOW: u32 = 4 << 20;
 
-pub type Stub = MeshServiceClient<Channel>;
+/// A service's generated client.
+pub trait Stub: Clone {
+    /// A client over a channel, for messages up to [`LARGEST_MESSAGE`].
+    fn over(channel: Channel) -> Self;
+}
 
-/// How a connection is encrypted; all files are PEM.
+impl Stub for MeshServiceClient<Channel> {
+    fn over(channel: Channel) -> Self {
+        let stub = Self::new(channel).max_decoding_message_size(LARGEST_MESSAGE);
+        stub.max_encoding_message_size(LARGEST_MESSAGE)
+    }
+}
+
+impl Stub for PanelServiceClient<Channel> {
+    fn over(channel: Channel) -> Self {
+        let stub = Self::new(channel).max_decoding_message_size(LARGEST_MESSAGE);
+        stub.max_encoding_message_size(LARGEST_MESSAGE)
+    }
+}
+
+/// TLS settings of a connection; all files are PEM.
 #[derive(Clone, Debug, Default)]
 pub struct Tls {
-    /// Certificates of the authorities that are trusted; the system's if absent.
+    /// Certificates of the trusted authorities; the system's if absent.
     pub authorities: Option<PathBuf>,
-    /// The client's own certificate and private key, where the server asks for one (mTLS).
+    /// The client's own certificate and private key, for servers that require one (mTLS).
     pub identity: Option<(PathBuf, PathBuf)>,
-    /// The name that the server's certificate has to have; that of the address if absent.
+    /// Server name that the certificate must carry; that of the address if absent.
     pub server_name: Option<String>,
 }
 
-/// When a call is tried again: with growing pauses, as long as its timeout allows.
+/// Retry policy: exponential backoff with jitter, within the timeout of the call.
 ///
-/// A server that cannot be reached or is about to stop ([`Code::Unavailable`]) is always worth another try, one that is
-/// full ([`Code::ResourceExhausted`]) if it says when, and not before. All calls are safe to repeat: they change nothing,
-/// or carry a request id by which the server recognises them.
+/// Calls are retried if the server cannot be reached or is stopping ([`Code::Unavailable`]), or if it is full and names a
+/// delay ([`Code::ResourceExhausted`]). All calls are safe to repeat: they change nothing, or carry a request id by which
+/// the server recognises them.
 ///
-/// The pause before attempt k + 1 is what the server asks for, plus a random share of `first_pause * 2^(k-1)`, so that
-/// those who failed together do not come back together.
+/// The pause before attempt k + 1 is the delay that the server names, plus a random share of `first_pause * 2^(k-1)`, so
+/// that clients that failed together do not return together.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Retry {
-    /// How often a call is tried in all; 1 for never again.
+    /// Number of attempts, including the first; 1 for no retry.
     pub attempts: u32,
-    /// The pause to begin with.
+    /// Upper bound of the first random pause.
     pub first_pause: Duration,
-    /// Beyond which pauses do not grow.
+    /// Upper bound of all random pauses.
     pub longest_pause: Duration,
 }
 
@@ -59,16 +77,16 @@ impl Default for Retry {
     }
 }
 
-/// Of a connection.
+/// Options of a connection.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Says who you are; it goes with every call, so use it with `tls` unless the network is your own.
+    /// Bearer token, sent with every call; use it with `tls` unless the network is trusted.
     pub token: Option<String>,
-    /// Plain text without.
+    /// TLS settings; plain text if absent.
     pub tls: Option<Tls>,
-    /// How long a call other than `create_setup` may take in all, with what is tried again; no limit if absent.
+    /// Timeout of a call over all its attempts; no limit if absent. Set-ups and checks have timeouts of their own.
     pub timeout: Option<Duration>,
-    /// When a call that failed is tried again.
+    /// Retry policy.
     pub retry: Retry,
 }
 
@@ -79,14 +97,14 @@ impl Default for Options {
 }
 
 #[derive(Debug)]
-pub struct Connection {
-    stub: Stub,
+pub struct Connection<S> {
+    stub: S,
     authorization: Option<MetadataValue<Ascii>>,
     retry: Retry,
 }
 
-impl Connection {
-    /// Connects when it is first used.
+impl<S: Stub> Connection<S> {
+    /// Connects on first use.
     pub fn new(address: &str, options: &Options) -> Result<Self, Error> {
         let scheme = if options.tls.is_some() { "https" } else { "http" };
         let not_usable = |error: tonic::transport::Error| Error::client(format!("{address}: {error:?}"));
@@ -95,31 +113,26 @@ impl Connection {
             .connect_timeout(Duration::from_secs(20))
             .initial_stream_window_size(WINDOW)
             .initial_connection_window_size(2 * WINDOW)
-            // A server that has gone without a word is noticed while a long call waits for it.
+            // Detects a server that has vanished while a long call waits for it.
             .http2_keep_alive_interval(Duration::from_secs(60));
         if let Some(tls) = &options.tls {
             endpoint = endpoint.tls_config(tls_config(tls)?).map_err(not_usable)?;
         }
         let authorization = match &options.token {
             None => None,
-            Some(token) => Some(
-                format!("Bearer {token}")
-                    .parse()
-                    .map_err(|_| Error::client("the token has characters that a header cannot have"))?,
-            ),
+            Some(token) => Some(format!("Bearer {token}").parse().map_err(|_| {
+                Error::client("the token contains characters that a header must not contain")
+            })?),
         };
-        let stub = MeshServiceClient::new(endpoint.connect_lazy())
-            .max_decoding_message_size(LARGEST_MESSAGE)
-            .max_encoding_message_size(LARGEST_MESSAGE);
-        Ok(Self { stub, authorization, retry: options.retry })
+        Ok(Self { stub: S::over(endpoint.connect_lazy()), authorization, retry: options.retry })
     }
 
-    /// One request, one answer.
+    /// A unary call.
     pub async fn call<Q, A, F>(
         &self,
         deadline: Deadline,
         message: Q,
-        method: impl Fn(Stub, Request<Q>) -> F,
+        method: impl Fn(S, Request<Q>) -> F,
     ) -> Result<A, Error>
     where
         Q: Clone,
@@ -132,11 +145,11 @@ impl Connection {
         self.attempts(deadline, attempt).await
     }
 
-    /// Runs attempts until one succeeds. Gives what the last one failed with.
+    /// Runs attempts until one succeeds; returns the error of the last one.
     pub async fn attempts<A, F>(
         &self,
         deadline: Deadline,
-        attempt: impl Fn(Stub, Request<()>) -> F,
+        attempt: impl Fn(S, Request<()>) -> F,
     ) -> Result<A, Error>
     where
         F: Future<Output = Result<A, Error>>,
@@ -159,7 +172,7 @@ impl Connection {
         }
     }
 
-    /// What goes with every call.
+    /// A request with the token and the deadline.
     fn request(&self, deadline: Deadline) -> Request<()> {
         let mut request = Request::new(());
         if let Some(authorization) = &self.authorization {
@@ -172,7 +185,7 @@ impl Connection {
     }
 }
 
-/// The end of the time that an operation may take over all its calls.
+/// Deadline of an operation over all its calls.
 #[derive(Clone, Copy, Debug)]
 pub struct Deadline(Option<Instant>);
 
@@ -186,7 +199,7 @@ impl Deadline {
         let late = || Error::new(Code::DeadlineExceeded, "the call took longer than its timeout");
         match timeout_at(end, answer).await {
             Err(_) => Err(late()),
-            // A server that ends a call at its deadline may say so in this way.
+            // A server may report the deadline as a cancellation.
             Ok(Err(error)) if error.code == Code::Cancelled && Instant::now() >= end => Err(late()),
             Ok(answer) => answer,
         }

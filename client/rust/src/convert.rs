@@ -1,8 +1,8 @@
-//! Between wire messages and the data of the model.
+//! Conversions between messages of the protocol and the model.
 
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-use moldline_proto::v1::{self, Array, DataType, deform_request, design_point};
+use moldline_proto::v1::{self, Array, DataType, check_request, deform_request, design_point};
 
 use crate::{
     At, CacheStatus, CellQuality, ControlPoints, Deformation, Design, DesignPoint, Distribution, Error,
@@ -10,7 +10,7 @@ use crate::{
     SetupAccess, SetupFacts, SetupSummary, Status, Timings, Variable, VariableGroup, Visibility, Work,
 };
 
-/// float64 values with the shape, whose product is their number.
+/// A float64 array; the product of `shape` is the number of values.
 pub fn array(values: &[f64], shape: &[usize]) -> Array {
     let mut data = Vec::with_capacity(size_of_val(values));
     values.iter().for_each(|value| data.extend_from_slice(&value.to_le_bytes()));
@@ -18,7 +18,14 @@ pub fn array(values: &[f64], shape: &[usize]) -> Array {
     Array { dtype: DataType::Float64.into(), shape, data: data.into() }
 }
 
-/// Items of N bytes each, which are elements of `width` bytes or groups of them.
+/// A uint32 array; the product of `shape` is the number of values.
+pub fn index_array(values: &[u32], shape: &[usize]) -> Array {
+    let data: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
+    let shape = shape.iter().map(|&extent| extent as u64).collect();
+    Array { dtype: DataType::Uint32.into(), shape, data: data.into() }
+}
+
+/// Items of N bytes each: elements of `width` bytes, or groups of them.
 fn items<const N: usize, T>(
     array: Option<&Array>,
     dtype: DataType,
@@ -40,12 +47,40 @@ pub fn numbers(array: Option<&Array>) -> Result<Vec<f64>, Error> {
     items(array, DataType::Float64, 8, |&bytes| f64::from_le_bytes(bytes))
 }
 
-/// Points of a float64 array whose last extent is 3.
+/// Points of a float64 array with last extent 3.
 pub fn points(array: Option<&Array>) -> Result<Vec<Point>, Error> {
     items(array, DataType::Float64, 8, |bytes: &[u8; 24]| {
         let (coordinates, _) = bytes.as_chunks();
         [0, 1, 2].map(|axis| f64::from_le_bytes(coordinates[axis]))
     })
+}
+
+/// Pairs of a float64 array with last extent 2.
+pub fn pairs(array: Option<&Array>) -> Result<Vec<[f64; 2]>, Error> {
+    items(array, DataType::Float64, 8, |bytes: &[u8; 16]| {
+        let (parts, _) = bytes.as_chunks();
+        [0, 1].map(|part| f64::from_le_bytes(parts[part]))
+    })
+}
+
+/// Values of a uint32 array.
+pub fn indices(array: Option<&Array>) -> Result<Vec<u32>, Error> {
+    items(array, DataType::Uint32, 4, |&bytes| u32::from_le_bytes(bytes))
+}
+
+/// Pairs of a uint32 array with last extent 2.
+pub fn index_pairs(array: Option<&Array>) -> Result<Vec<[u32; 2]>, Error> {
+    items(array, DataType::Uint32, 4, |bytes: &[u8; 8]| {
+        let (parts, _) = bytes.as_chunks();
+        [0, 1].map(|part| u32::from_le_bytes(parts[part]))
+    })
+}
+
+/// A point given as a list.
+pub fn point(values: &[f64]) -> Result<Point, Error> {
+    values
+        .try_into()
+        .map_err(|_| Error::internal("the server sent a vector that does not have three components"))
 }
 
 pub fn setup_facts(message: Option<v1::SetupDescription>, built: bool) -> Result<SetupFacts, Error> {
@@ -120,9 +155,7 @@ pub fn mesh(message: Option<v1::Mesh>) -> Result<Mesh, Error> {
             let (corners, _) = bytes.as_chunks();
             [0, 1, 2, 3].map(|corner| u32::from_le_bytes(corners[corner]))
         })?,
-        cell_owner: items(message.cell_owner.as_ref(), DataType::Uint32, 4, |&bytes| {
-            u32::from_le_bytes(bytes)
-        })?,
+        cell_owner: indices(message.cell_owner.as_ref())?,
         seam: items(message.seam.as_ref(), DataType::Uint8, 1, |&[seam]| seam != 0)?,
     })
 }
@@ -152,20 +185,64 @@ pub fn session_state(message: Option<v1::Session>) -> Result<SessionState, Error
     })
 }
 
-pub fn design_point(point: &DesignPoint) -> v1::DesignPoint {
-    let input = match &point.design {
+/// A design as a message, of which every request has an enumeration of its own.
+pub enum Input {
+    Vector(Array),
+    Named(v1::NamedDesign),
+}
+
+/// A design as a message; nothing for the baseline.
+pub fn design(design: &Design) -> Option<Input> {
+    match design {
         Design::Baseline => None,
-        Design::Vector(values) => Some(design_point::Input::Design(array(values, &[values.len()]))),
+        Design::Vector(values) => Some(Input::Vector(array(values, &[values.len()]))),
         Design::Named(values) => {
             let values = values.iter().map(|(name, value)| (name.clone(), *value)).collect();
-            Some(design_point::Input::Named(v1::NamedDesign { values }))
+            Some(Input::Named(v1::NamedDesign { values }))
         }
-    };
-    let given = point.control_points.iter().map(|(component, points)| v1::ControlPoints {
+    }
+}
+
+impl From<Input> for design_point::Input {
+    fn from(input: Input) -> Self {
+        match input {
+            Input::Vector(array) => Self::Design(array),
+            Input::Named(named) => Self::Named(named),
+        }
+    }
+}
+
+impl From<Input> for deform_request::Input {
+    fn from(input: Input) -> Self {
+        match input {
+            Input::Vector(array) => Self::Design(array),
+            Input::Named(named) => Self::Named(named),
+        }
+    }
+}
+
+impl From<Input> for check_request::At {
+    fn from(input: Input) -> Self {
+        match input {
+            Input::Vector(array) => Self::Design(array),
+            Input::Named(named) => Self::Named(named),
+        }
+    }
+}
+
+fn given_control_points(points: &ControlPoints) -> Vec<v1::ControlPoints> {
+    let message = |(component, points): (&String, &Vec<Point>)| v1::ControlPoints {
         component: component.clone(),
         points: Some(array(points.as_flattened(), &[points.len(), 3])),
-    });
-    v1::DesignPoint { input, control_points: given.collect() }
+    };
+    points.iter().map(message).collect()
+}
+
+pub fn design_point(point: &DesignPoint) -> v1::DesignPoint {
+    v1::DesignPoint {
+        input: design(&point.design).map(Into::into),
+        control_points: given_control_points(&point.control_points),
+    }
 }
 
 pub fn deform_request(
@@ -173,15 +250,15 @@ pub fn deform_request(
     point: &DesignPoint,
     include_cell_quality: bool,
 ) -> v1::DeformRequest {
-    let v1::DesignPoint { input, control_points } = design_point(point);
-    let input = input.map(|input| match input {
-        design_point::Input::Design(array) => deform_request::Input::Design(array),
-        design_point::Input::Named(named) => deform_request::Input::Named(named),
-    });
-    v1::DeformRequest { session_id, input, control_points, include_cell_quality }
+    v1::DeformRequest {
+        session_id,
+        input: design(&point.design).map(Into::into),
+        control_points: given_control_points(&point.control_points),
+        include_cell_quality,
+    }
 }
 
-/// The id where there is one, and the design, from which the server makes what it does not hold.
+/// The id, if any, and the design, from which the server recomputes a linearisation that it no longer holds.
 pub fn at(at: &At) -> v1::LinearisationPoint {
     let (linearisation_id, point) = match at {
         At::Linearisation(linearisation) => (linearisation.id.clone(), Some(&linearisation.point)),
@@ -283,7 +360,7 @@ fn cache(message: Option<v1::CacheStatus>) -> CacheStatus {
     CacheStatus { entries, bytes, budget_bytes, hits, misses, evictions }
 }
 
-fn missing(what: &str) -> Error {
+pub fn missing(what: &str) -> Error {
     Error::internal(format!("the server's answer lacks {what}"))
 }
 
@@ -291,7 +368,7 @@ fn time(seconds_since_1970: f64) -> SystemTime {
     UNIX_EPOCH + seconds(seconds_since_1970)
 }
 
-/// What a server sends is not trusted to be a length of time.
+/// Zero if the server sent a value that is not a duration.
 fn seconds(value: f64) -> Duration {
     Duration::try_from_secs_f64(value).unwrap_or_default()
 }

@@ -1,44 +1,44 @@
-//! What goes wrong, one code for each class of failure.
+//! Errors, with one code for each class of failure.
 
 use std::{error, fmt, io, iter, path::Path, time::Duration};
 
 use tonic_types::StatusExt;
 
-/// The class of a failure.
+/// Class of a failure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Code {
-    /// The request is wrong whatever the state of the server.
+    /// The request is invalid, whatever the state of the server.
     InvalidArgument,
-    /// There is no set-up or session of that id that the caller may see, or no linearisation any more for a bare id.
+    /// The caller can see nothing with this id, or the server no longer holds it.
     NotFound,
-    /// The request id named a request with other content before.
+    /// An earlier request with other content had this request id.
     AlreadyExists,
-    /// Somebody else was faster: the session has another generation than was expected. Read it again.
+    /// A concurrent update won: the session has a generation other than expected. Read it again.
     Aborted,
-    /// The server does not know who this is: the token is missing, unknown or has expired.
+    /// The caller is not authenticated: the token is missing, unknown or expired.
     Unauthenticated,
-    /// The server knows who this is, and that this is not theirs to do.
+    /// The caller is authenticated, but lacks the permission.
     PermissionDenied,
-    /// The design is valid, but the mesh cannot follow it: a seam is lost, or a projection does not converge.
+    /// The input is valid, but the method fails on it, such as a mesh that loses a seam or a wake that cuts the body.
     FailedPrecondition,
-    /// The server is full, or a quota is; where trying again may help, `retry_after` says when.
+    /// The server or a quota is full; `retry_after` is set if a retry may succeed.
     ResourceExhausted,
-    /// A message is larger than the server or the client accepts.
+    /// A message exceeds the size limit of server or client.
     OutOfRange,
     /// The call was cancelled.
     Cancelled,
-    /// The call took longer than its timeout.
+    /// The call exceeded its timeout.
     DeadlineExceeded,
-    /// The server cannot be reached, or is about to stop.
+    /// The server cannot be reached, or is stopping.
     Unavailable,
-    /// A fault of the server, or an answer that cannot be understood.
+    /// A fault of the server, or a malformed answer.
     Internal,
     /// Nothing was sent: arguments contradict each other, or a file cannot be read.
     Client,
 }
 
 impl Code {
-    /// A word in upper snake case, the same on the wire and in all languages.
+    /// Name in upper snake case, the same in the protocol and in all clients.
     pub fn name(self) -> &'static str {
         match self {
             Self::InvalidArgument => "INVALID_ARGUMENT",
@@ -70,21 +70,21 @@ impl fmt::Display for Code {
 pub struct FieldViolation {
     /// Path of the field, such as `design[3]`.
     pub field: String,
-    /// What is wrong with it: index, value, limit and the way out.
+    /// The fault: index, value, limit and the remedy.
     pub description: String,
 }
 
-/// A request failed.
+/// Failure of a request.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{code}: {message}")]
 pub struct Error {
-    /// Its class.
+    /// Class of the failure.
     pub code: Code,
-    /// What is wrong, in one sentence.
+    /// The failure in one sentence.
     pub message: String,
-    /// The faults of the request, if it is the request's fault.
+    /// Faults of the request's fields, if any.
     pub violations: Vec<FieldViolation>,
-    /// After which trying again may help, if it may.
+    /// Delay after which a retry may succeed, if any.
     pub retry_after: Option<Duration>,
 }
 
@@ -105,7 +105,7 @@ impl Error {
         Self::client(format!("{}: {error}", path.display()))
     }
 
-    /// Whether the same request may succeed later.
+    /// Whether a retry may succeed.
     pub(crate) fn may_pass(&self) -> bool {
         match self.code {
             Code::Unavailable => true,
@@ -148,7 +148,7 @@ fn code(status: &tonic::Status) -> Code {
         tonic::Code::DeadlineExceeded => Code::DeadlineExceeded,
         tonic::Code::Unavailable => Code::Unavailable,
         _ if causes(status).any(|cause| cause.is::<tonic::TimeoutExpired>()) => Code::DeadlineExceeded,
-        // What has a cause has not come from the server: the connection broke before it answered.
+        // A status with a cause is local: the connection broke before the server answered.
         _ if causes(status).next().is_some() => Code::Unavailable,
         tonic::Code::Cancelled => Code::Cancelled,
         _ => Code::Internal,

@@ -1,4 +1,5 @@
-//! Client of a Moldline server, which deforms surface meshes with their geometry.
+//! Client of Moldline: the mesh service, which deforms surface meshes with their geometry, and the panel service
+//! ([`panel`]), which computes the flow over them.
 //!
 //! ```no_run
 //! use moldline_client::{Client, Design, Seeds};
@@ -14,17 +15,21 @@
 //! # Ok(()) }
 //! ```
 //!
-//! Vertices are metres; each entry of a design is in its variable's unit. A future that is dropped cancels its call on the
-//! server.
+//! Vertices are in metres, each entry of a design in its variable's unit. Dropping a future cancels its call on the server.
 
+mod blocks;
+mod check;
 mod client;
 mod connection;
 mod convert;
 mod error;
 mod model;
+pub mod panel;
+mod progress;
 mod upload;
 
-pub use client::{Client, CreateOptions, Session, Setup, Tell};
+pub use check::{Check, CheckedDesign, CheckedVariable, Difference, DotProduct, Kink, StageError};
+pub use client::{CheckOptions, Client, CreateOptions, Session, Setup};
 pub use connection::{Options, Retry, Tls};
 pub use error::{Code, Error, FieldViolation};
 pub use model::{
@@ -33,3 +38,4 @@ pub use model::{
     Residuals, Seeds, SessionState, SessionUpdate, SetupAccess, SetupFacts, SetupSummary, Status, Tangents,
     Timings, Variable, VariableGroup, Visibility, Work,
 };
+pub use progress::Tell;

@@ -1,24 +1,25 @@
-//! What the client asks with and is answered: plain data.
+//! Data model of the mesh service: arguments and results.
 
 use std::{
     collections::BTreeMap,
+    ops::AddAssign,
     time::{Duration, SystemTime},
 };
 
-/// x, y and z: of a vertex or a control point, metres; of a derivative by it, per metre.
+/// x, y and z of a vertex or a control point, metres; or a derivative with respect to it, per metre.
 pub type Point = [f64; 3];
 
 /// Control points by component, patch after patch, the second parameter fastest.
 pub type ControlPoints = BTreeMap<String, Vec<Point>>;
 
-/// How far something long has come.
+/// Progress of a long call.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Progress {
-    /// Of a set-up: `receive`, `read`, `queue`, and then the engine's stages. `jacobian` of a Jacobian.
+    /// Name of the stage: of a set-up, `receive`, `read`, `queue`, then the engine's stages; of a Jacobian, `jacobian`.
     pub stage: String,
-    /// Share of the stage, 0 to 1.
+    /// Fraction of the stage that is done, 0 to 1.
     pub fraction: f64,
-    /// For people.
+    /// Description for display.
     pub message: String,
 }
 
@@ -27,24 +28,24 @@ pub struct Progress {
 pub struct Variable {
     /// Such as `wing.twist[3]`.
     pub name: String,
-    /// Of the three numbers and of its entry in a design, such as `m` or `deg`.
+    /// Unit of its values and bounds, such as `m` or `deg`.
     pub unit: String,
-    /// Of the reference geometry.
+    /// Value at the reference geometry.
     pub baseline: f64,
-    /// Least value; may be infinite.
+    /// Lower bound; may be infinite.
     pub lower: f64,
-    /// Greatest value; may be infinite.
+    /// Upper bound; may be infinite.
     pub upper: f64,
 }
 
 /// Variables that were declared together.
 #[derive(Clone, Debug, PartialEq)]
 pub struct VariableGroup {
-    /// As declared.
+    /// Name as declared.
     pub name: String,
-    /// Index of the first one's entry of a design; they follow each other, the last axis of `shape` fastest.
+    /// Index of the first variable in a design; the others follow, the last axis of `shape` fastest.
     pub first: usize,
-    /// Empty for a scalar.
+    /// Shape of the group; empty for a scalar.
     pub shape: Vec<usize>,
 }
 
@@ -55,7 +56,7 @@ pub struct Function {
     pub name: String,
     /// Such as `m^2`.
     pub unit: String,
-    /// For the reference mesh.
+    /// Value for the reference mesh.
     pub value: f64,
 }
 
@@ -65,53 +66,53 @@ pub enum Visibility {
     /// Nobody.
     #[default]
     Private,
-    /// Tenants that are named.
+    /// Named tenants.
     Tenants,
     /// Every tenant of the server.
     Public,
 }
 
-/// What a set-up is to the caller.
+/// Access of the caller, and of others, to a set-up.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct SetupAccess {
     /// Whether the caller has uploaded it.
     pub owned: bool,
-    /// To the owner: what was chosen. To others: `Tenants` or `Public`, whichever lets them use it.
+    /// For the owner, the chosen visibility; for others, the one that gives them access: `Tenants` or `Public`.
     pub visibility: Visibility,
-    /// Tenants; to the owner only.
+    /// Names of tenants; shown to the owner only.
     pub shared_with: Vec<String>,
 }
 
-/// What is known of a set-up without asking the server again.
+/// Description of a set-up.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SetupFacts {
     /// Hash of its content.
     pub id: String,
-    /// Whether it was new to the caller when the call that returned this created it.
+    /// Whether the call that returned this created the set-up for the caller.
     pub built: bool,
-    /// The title its author gave it.
+    /// Title given by its author.
     pub name: String,
     /// Who may use it.
     pub access: SetupAccess,
-    /// What was found, for people.
+    /// Report of the build, as text.
     pub report_text: String,
-    /// What was found, as a JSON document.
+    /// Report of the build, as a JSON document.
     pub report_json: String,
-    /// In the order of a design's entries.
+    /// Design variables, in the order of a design's entries.
     pub variables: Vec<Variable>,
-    /// As they were declared.
+    /// Groups of variables, as declared.
     pub groups: Vec<VariableGroup>,
     /// Names of the components.
     pub components: Vec<String>,
-    /// How many control points each component has.
+    /// Number of control points of each component.
     pub control_point_counts: Vec<usize>,
     /// The scalar outputs besides the vertices.
     pub functions: Vec<Function>,
-    /// How many vertices the mesh has.
+    /// Number of vertices of the mesh.
     pub vertex_count: usize,
-    /// How many cells it has.
+    /// Number of cells of the mesh.
     pub cell_count: usize,
-    /// Of the engine, to build it.
+    /// Time that the engine took to build it.
     pub build_time: Duration,
 }
 
@@ -137,15 +138,15 @@ impl SetupFacts {
 pub struct SetupSummary {
     /// Hash of its content.
     pub id: String,
-    /// The title its author gave it.
+    /// Title given by its author.
     pub name: String,
-    /// Of the mesh.
+    /// Number of vertices of the mesh.
     pub vertex_count: usize,
-    /// Of the mesh.
+    /// Number of cells of the mesh.
     pub cell_count: usize,
-    /// Of the design.
+    /// Number of design variables.
     pub variable_count: usize,
-    /// When it was first uploaded.
+    /// Time of the first upload.
     pub created: SystemTime,
     /// Who may use it.
     pub access: SetupAccess,
@@ -154,13 +155,13 @@ pub struct SetupSummary {
 /// A surface mesh of triangles and quadrilaterals.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Mesh {
-    /// In metres.
+    /// Vertices, metres.
     pub vertices: Vec<Point>,
     /// Vertices of each cell, counter-clockwise from outside; a triangle's fourth is [`Mesh::NO_VERTEX`].
     pub cells: Vec<[u32; 4]>,
-    /// By cell: index of the component that owns it.
+    /// Index of the component that owns each cell.
     pub cell_owner: Vec<u32>,
-    /// By vertex: whether it lies on a seam of two components.
+    /// Whether each vertex lies on a seam of two components.
     pub seam: Vec<bool>,
 }
 
@@ -172,28 +173,28 @@ impl Mesh {
 /// Values of the design variables.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Design {
-    /// Those of the reference geometry.
+    /// Values of the reference geometry.
     #[default]
     Baseline,
     /// All in order, each in its variable's unit.
     Vector(Vec<f64>),
-    /// By name; those that are not named stay at their baseline.
+    /// By name; all others stay at their baseline.
     Named(BTreeMap<String, f64>),
 }
 
 impl Design {
-    /// By name.
+    /// A design by names.
     pub fn named<'a>(values: impl IntoIterator<Item = (&'a str, f64)>) -> Self {
         Self::Named(values.into_iter().map(|(name, value)| (name.to_owned(), value)).collect())
     }
 }
 
-/// A design, and control points from elsewhere in place of what the design makes of their components.
+/// A design, and external control points that replace those of their components.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct DesignPoint {
-    /// The variables.
+    /// Values of the design variables.
     pub design: Design,
-    /// By component, metres.
+    /// External control points by component, metres.
     pub control_points: ControlPoints,
 }
 
@@ -209,31 +210,31 @@ impl From<Vec<f64>> for DesignPoint {
     }
 }
 
-/// A session as the server has stored it.
+/// Stored state of a session.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SessionState {
-    /// Its name.
+    /// Id of the session.
     pub id: String,
-    /// Of its set-up.
+    /// Id of its set-up.
     pub setup_id: String,
     /// Grows by one with each update.
     pub generation: u64,
-    /// As stored last: all variables in order, and the control points that were given. Absent in lists.
+    /// The design stored last: all variables in order, and external control points. Absent in lists.
     pub design: Option<DesignPoint>,
-    /// For people.
+    /// Descriptive label.
     pub label: String,
-    /// When it was opened.
+    /// Time of opening.
     pub created: SystemTime,
-    /// When it was stored last.
+    /// Time of the last update.
     pub updated: SystemTime,
 }
 
-/// What a session is to store; what is absent stays as it was.
+/// Update of a session; absent fields stay unchanged.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SessionUpdate {
-    /// Where the optimizer has got to.
+    /// The new design.
     pub design: Option<DesignPoint>,
-    /// For people.
+    /// The new label.
     pub label: Option<String>,
 }
 
@@ -252,111 +253,119 @@ pub struct Distribution {
     pub above_5_percent: f64,
 }
 
-/// Measures of some cells.
+/// Quality measures of a set of cells.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct QualitySummary {
-    /// How many cells.
+    /// Number of cells.
     pub cells: usize,
     /// Verdict's aspect ratio.
     pub aspect_ratio: Distribution,
     /// Longest over shortest edge.
     pub edge_ratio: Distribution,
-    /// Against the owner surface's current normal; 1 at best, negative where a corner is inverted.
+    /// Smallest scaled Jacobian with respect to the owner surface's current normal; 1 at best, negative where a corner is
+    /// inverted.
     pub min_scaled_jacobian: f64,
-    /// Least interior angle, degrees.
+    /// Smallest interior angle, degrees.
     pub min_angle: f64,
-    /// Greatest interior angle, degrees.
+    /// Largest interior angle, degrees.
     pub max_angle: f64,
     /// 95th percentile of the equiangle skew, 0 at best.
     pub skew_p95: f64,
-    /// Greatest equiangle skew.
+    /// Largest equiangle skew.
     pub skew_max: f64,
     /// Cells whose area vector points against their owner's normal.
     pub folded: usize,
-    /// Cells with a corner that is turned against the owner's normal.
+    /// Cells with a corner whose normal points against their owner's normal.
     pub inverted: usize,
 }
 
-/// Measures of all cells and of each component's.
+/// Quality measures of all cells, and of the cells of each component.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct QualityReport {
-    /// Of all.
+    /// All cells.
     pub total: QualitySummary,
-    /// By component.
+    /// Cells of each component, by name.
     pub components: BTreeMap<String, QualitySummary>,
 }
 
-/// Measures of every cell.
+/// Quality measures of every cell.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct CellQuality {
     /// Verdict's aspect ratio.
     pub aspect_ratio: Vec<f64>,
     /// Longest over shortest edge.
     pub edge_ratio: Vec<f64>,
-    /// Against the owner surface's current normal.
+    /// Scaled Jacobian with respect to the owner surface's current normal.
     pub scaled_jacobian: Vec<f64>,
     /// Equiangle skew.
     pub skew: Vec<f64>,
 }
 
-/// How exactly a mesh lies where it has to.
+/// Residuals of the constraints on a deformed mesh.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Residuals {
     /// Largest distance of a seam vertex from one of its components before the smooth projection, metres.
     pub seam: f64,
     /// Largest distance of a protected or stationary vertex from a component that it lies on, metres.
     pub held: f64,
-    /// Largest |Phi| of an active vertex at the end, metres; 0 for a sharp outer mold line.
+    /// Largest final |Phi| of an active vertex, metres; 0 for a sharp outer mold line.
     pub projection: f64,
-    /// Most projection steps that a vertex took.
+    /// Largest number of projection steps of a vertex.
     pub projection_steps: u32,
 }
 
-/// How long requests took on the server.
+/// Time that requests took on the server.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Timings {
-    /// Waiting for the engine.
+    /// Time in the queue.
     pub queue: Duration,
-    /// In the engine.
+    /// Time in the engine.
     pub engine: Duration,
 }
 
-/// Where a derivative is taken: what the server keeps of a deformation, and the design to make it again.
+impl AddAssign for Timings {
+    fn add_assign(&mut self, other: Self) {
+        self.queue += other.queue;
+        self.engine += other.engine;
+    }
+}
+
+/// Point of linearisation: the id of a linearisation on the server, and the design to recompute it from.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Linearisation {
-    /// The same for the same set-up and design, on any server.
+    /// Determined by set-up and design: the same on every server.
     pub id: String,
-    /// As it was asked for.
+    /// The requested design.
     pub point: DesignPoint,
 }
 
 /// A deformed mesh.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Deformation {
-    /// In the set-up mesh's order, metres.
+    /// Vertices in the order of the set-up's mesh, metres.
     pub vertices: Vec<Point>,
-    /// The scalar outputs in the order of the set-up's, each in its unit.
+    /// Scalar outputs in the set-up's order, each in its unit.
     pub functions: Vec<f64>,
-    /// For derivatives here.
+    /// For derivatives at this design.
     pub linearisation: Linearisation,
-    /// Measures of the deformed mesh.
+    /// Quality of the deformed mesh.
     pub quality: QualityReport,
-    /// Only if asked for.
+    /// Quality of every cell, if requested.
     pub cell_quality: Option<CellQuality>,
-    /// How exactly it lies where it has to.
+    /// Residuals of the constraints.
     pub residuals: Residuals,
-    /// How long it took.
+    /// Time in the engine and in its queue.
     pub timings: Timings,
 }
 
-/// Where a derivative is taken: a deformation, what is left of it, or a design. Best is a deformation: the server has it.
+/// Point of linearisation: a deformation, which is best since the server holds its linearisation, or a design.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum At {
-    /// What the server may hold, and the design to make it again.
+    /// A linearisation that the server may hold, with the design to recompute it from.
     Linearisation(Linearisation),
     /// A design; the baseline by default.
     Point(DesignPoint),
-    /// An id alone, which the server has to hold still; it is `NotFound` otherwise.
+    /// The id of a linearisation alone; `NotFound` if the server no longer holds it.
     Held(String),
     /// The reference geometry.
     #[default]
@@ -381,14 +390,14 @@ impl<T: Into<DesignPoint>> From<T> for At {
     }
 }
 
-/// k directions of the inputs; what is empty is zero.
+/// k directions of the inputs; empty blocks are zero.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Directions {
-    /// k.
+    /// Number of directions or sums, k.
     pub count: usize,
-    /// (k, number of variables), the last axis fastest: each entry in its variable's unit.
+    /// (k, number of variables), the last axis fastest, each entry in its variable's unit.
     pub design: Vec<f64>,
-    /// By component: (k, number of its control points), on top of what `design` does to them.
+    /// By component: (k, number of its control points), metres, in addition to the effect of `design` on them.
     pub control_points: ControlPoints,
 }
 
@@ -401,28 +410,29 @@ impl Default for Directions {
 /// Changes of the outputs along k directions.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Tangents {
-    /// k.
+    /// Number of directions or sums, k.
     pub count: usize,
     /// (k, number of vertices), metres.
     pub vertices: Vec<Point>,
     /// (k, number of functions), each in its unit.
     pub functions: Vec<f64>,
-    /// Of all requests together.
+    /// Total of all requests.
     pub timings: Timings,
 }
 
-/// k weighted sums of the outputs, and by which inputs their gradients are wanted; weights that are empty are zero.
+/// Weights of k sums of the outputs (empty blocks are zero), and the inputs that their gradients are taken with respect to.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Seeds {
-    /// k.
+    /// Number of directions or sums, k.
     pub count: usize,
-    /// (k, number of vertices): weights of the vertices' coordinates, such as the derivative of an objective by them.
+    /// (k, number of vertices): weights of the vertices' coordinates, such as the gradient of an objective with respect to
+    /// them.
     pub vertices: Vec<Point>,
     /// (k, number of functions): weights of the functions.
     pub functions: Vec<f64>,
-    /// Whether gradients by the design variables are wanted.
+    /// Whether to take gradients with respect to the design variables.
     pub by_design: bool,
-    /// Components by whose control points gradients are wanted too.
+    /// Components whose control points to take gradients with respect to.
     pub by_control_points: Vec<String>,
 }
 
@@ -441,83 +451,83 @@ impl Default for Seeds {
 /// Gradients of k weighted sums.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Gradients {
-    /// k.
+    /// Number of directions or sums, k.
     pub count: usize,
-    /// (k, number of variables), per its variable's unit; empty if not asked for.
+    /// (k, number of variables), per unit of the variable; empty if not requested.
     pub design: Vec<f64>,
-    /// By component, if asked for: (k, number of its control points), per metre.
+    /// By requested component: (k, number of its control points), per metre.
     pub control_points: ControlPoints,
-    /// Of all requests together.
+    /// Total of all requests.
     pub timings: Timings,
 }
 
-/// Derivatives of all outputs by all design variables.
+/// Derivatives of all outputs with respect to all design variables.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Jacobian {
-    /// (number of variables, number of vertices), metres per the variable's unit.
+    /// (number of variables, number of vertices), metres per unit of the variable.
     pub vertices: Vec<Point>,
     /// (number of variables, number of functions).
     pub functions: Vec<f64>,
-    /// How long it took.
+    /// Time in the engine and in its queue.
     pub timings: Timings,
 }
 
-/// Use of one of the server's caches.
+/// Usage of a cache of the server.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct CacheStatus {
-    /// How many things it holds.
+    /// Number of entries.
     pub entries: u64,
-    /// Their bytes.
+    /// Bytes in use.
     pub bytes: u64,
-    /// The server's, for all tenants.
+    /// Budget in bytes, of all tenants together.
     pub budget_bytes: u64,
-    /// Since the server started; for administrators, others see 0.
+    /// Hits since the start of the server; 0 unless the caller is an administrator.
     pub hits: u64,
-    /// As `hits`.
+    /// Misses, likewise.
     pub misses: u64,
-    /// As `hits`.
+    /// Evictions, likewise.
     pub evictions: u64,
 }
 
-/// A request that computes, or waits for it.
+/// A request that is computing or queued.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Work {
-    /// Such as `build`, `deform`, `jvp`, `vjp`, `jacobian`.
+    /// Kind, such as `build`, `deform`, `jvp`, `vjp`, `jacobian`.
     pub kind: String,
-    /// Whose.
+    /// Tenant of the caller.
     pub tenant: String,
-    /// Empty where there is none (yet).
+    /// Id of its set-up; empty if it has none (yet).
     pub setup_id: String,
-    /// Empty where there is none.
+    /// Id of its session; empty if it has none.
     pub session_id: String,
-    /// Whether it computes; otherwise it waits.
+    /// Whether it is computing; otherwise it is queued.
     pub running: bool,
-    /// Since it came.
+    /// Time since its arrival.
     pub age: Duration,
-    /// Since it computes.
+    /// Time since its computation began.
     pub running_for: Duration,
-    /// How far it has come, where that is known.
+    /// Name of the current stage, where known.
     pub stage: String,
-    /// Share of the stage.
+    /// Fraction of the stage that is done.
     pub fraction: f64,
 }
 
-/// What the server does and holds.
+/// Load, caches and store of a server.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Status {
-    /// Of the server.
+    /// Version of the server.
     pub version: String,
-    /// Since it started.
+    /// Time since its start.
     pub uptime: Duration,
-    /// Whether the figures are those of all tenants (for administrators), or of the caller's only.
+    /// Whether the figures cover all tenants (for administrators), or the caller's only.
     pub all_tenants: bool,
-    /// Requests that compute.
+    /// Requests that are computing.
     pub running: u64,
-    /// Requests that wait for it.
+    /// Requests in the queue.
     pub queued: u64,
-    /// How many may compute.
+    /// Largest number of computing requests.
     pub running_limit: u64,
-    /// How many may wait.
+    /// Largest length of the queue.
     pub queued_limit: u64,
     /// Open sessions.
     pub sessions: u64,
@@ -527,10 +537,10 @@ pub struct Status {
     pub setups_stored: u64,
     /// Bytes in the store.
     pub stored_bytes: u64,
-    /// Of set-ups.
+    /// Cache of set-ups.
     pub setup_cache: CacheStatus,
-    /// Of linearisations.
+    /// Cache of linearisations.
     pub linearisation_cache: CacheStatus,
-    /// Longest first.
+    /// Requests that are computing or queued, oldest first.
     pub work: Vec<Work>,
 }

@@ -1,4 +1,4 @@
-//! A set-up's files as messages.
+//! Upload of a set-up's files.
 
 use std::{
     fs::{self, File},
@@ -24,7 +24,8 @@ const ARCHIVES: [(&str, ArchiveKind); 4] = [
     (".zip", ArchiveKind::Zip),
 ];
 
-/// The files to send, and how the header names them: an archive, or all of a folder but hidden ones and Python's caches.
+/// The files to send, and their entry in the header: an archive, or all files of a folder except hidden ones and Python's
+/// caches.
 pub fn files(path: &Path) -> Result<(Vec<PathBuf>, Source), Error> {
     let size =
         |path: &Path| fs::metadata(path).map(|file| file.len()).map_err(|error| Error::file(path, &error));
@@ -69,7 +70,7 @@ fn collect(folder: &Path, found: &mut Vec<PathBuf>) -> Result<(), Error> {
     Ok(())
 }
 
-/// Sends the header, then the files' bytes, until nobody takes them any more. Blocks.
+/// Sends the header, then the files' bytes, until the receiver is dropped. Blocks.
 pub fn upload(
     header: SetupHeader,
     files: &[PathBuf],

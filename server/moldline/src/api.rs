@@ -3,8 +3,9 @@
 use std::sync::Arc;
 
 use bytes::Bytes;
+use moldline_host::{Principal, Product, ServiceError};
+use moldline_mesh_service::{Service, SetupView, UploadHeader, Wanted};
 use moldline_proto::v1;
-use moldline_service::{Principal, Product, Service, ServiceError, SetupView, UploadHeader, Wanted};
 use moldline_transport::Deadline;
 use tokio::sync::mpsc;
 use tokio_stream::{Stream, StreamExt};

@@ -1,7 +1,7 @@
 //! A progress bar on the terminal.
 
 use indicatif::{ProgressBar, ProgressStyle};
-use moldline_service::Progress;
+use moldline_host::Progress;
 
 /// A progress bar that shows one stage after the other; hidden if standard error is not a terminal.
 pub struct Bar(ProgressBar);

@@ -2,8 +2,8 @@
 
 use std::pin::Pin;
 
+use moldline_host::{Code, Principal, ServiceError};
 use moldline_proto::{FILE_DESCRIPTOR_SET, v1};
-use moldline_service::{Code, Principal, ServiceError};
 use moldline_transport::{Deadline, Health, status};
 use tokio::sync::mpsc;
 use tokio_stream::{

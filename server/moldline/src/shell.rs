@@ -4,7 +4,7 @@ use std::{io::Write, net::SocketAddr, num::NonZeroUsize, path::PathBuf, sync::Ar
 
 use axum::http::HeaderValue;
 use clap::Args;
-use moldline_service::PoolLimits;
+use moldline_host::PoolLimits;
 use moldline_transport::{
     Access, Gauges, Health, Port, Served, Surroundings, TlsError, TlsFiles, acceptor, metrics_upkeep, router,
     start_metrics,
@@ -91,7 +91,7 @@ pub enum ServeError {
     Threads(#[from] rayon::ThreadPoolBuildError),
     /// The store cannot be opened.
     #[error(transparent)]
-    Store(#[from] moldline_service::StoreError),
+    Store(#[from] moldline_mesh_service::StoreError),
     /// The asynchronous runtime does not start.
     #[error("cannot start: {0}")]
     Start(#[from] std::io::Error),

@@ -3,7 +3,7 @@
 use std::{path::PathBuf, time::Duration};
 
 use clap::{Args, Subcommand};
-use moldline_service::{Principal, Role, Tenant};
+use moldline_host::{Principal, Role, Tenant};
 use moldline_transport::tokens::{self, TokenFileError};
 
 use crate::{cli, table};
@@ -44,7 +44,7 @@ pub enum TokenCommand {
 }
 
 fn role(text: &str) -> Result<Role, String> {
-    moldline_transport::role(text).ok_or_else(|| "expected reader, user or admin".to_owned())
+    Role::named(text).ok_or_else(|| "expected reader, user or admin".to_owned())
 }
 
 /// Creates, lists or revokes tokens.

@@ -1,9 +1,11 @@
-// Test driver of the C++ client: see README.md.
+// Driver of the C++ client for the end-to-end tests: see README.md.
 #include <google/protobuf/struct.pb.h>
 #include <google/protobuf/util/json_util.h>
 
+#include <array>
 #include <cstring>
 #include <iostream>
+#include <limits>
 #include <memory>
 #include <stdexcept>
 #include <string>
@@ -85,7 +87,7 @@ Struct fields(std::initializer_list<std::pair<const char*, Value>> all) {
   return made;
 }
 
-/// An array of the given leading extents; what is left of the values is in points of `width` entries, if that is not 0.
+/// An array of this type and shape.
 template <class T>
 Value array(const std::vector<T>& values, const char* dtype, std::vector<std::size_t> shape) {
   std::string bytes(values.size() * sizeof(T), '\0');
@@ -95,7 +97,13 @@ Value array(const std::vector<T>& values, const char* dtype, std::vector<std::si
        {"data", value(base64(bytes))}}));
 }
 Value array(const std::vector<double>& values) { return array(values, "<f8", {values.size()}); }
-Value array(const std::vector<moldline::Point>& points) { return array(points, "<f8", {points.size(), 3}); }
+template <std::size_t N>
+Value array(const std::vector<std::array<double, N>>& rows) { return array(rows, "<f8", {rows.size(), N}); }
+Value array(std::initializer_list<double> values) { return array(std::vector<double>(values)); }
+Value index_array(const std::vector<std::array<std::uint32_t, 2>>& pairs) {
+  return array(pairs, "<u4", {pairs.size(), 2});
+}
+Value index_array(const std::vector<std::uint32_t>& indices) { return array(indices, "<u4", {indices.size()}); }
 /// k vectors.
 Value block(const std::vector<double>& values, std::size_t k) { return array(values, "<f8", {k, values.size() / k}); }
 Value block(const std::vector<moldline::Point>& points, std::size_t k) {
@@ -140,6 +148,37 @@ std::vector<T> values_of(const Value& array) {
 std::size_t vectors_in(const Value& array) {
   const auto& shape = array.struct_value().fields().at("shape").list_value();
   return static_cast<std::size_t>(shape.values(0).number_value());
+}
+
+/// k, as the first array among the arguments of these names has it.
+std::size_t count_of(const Arguments& arguments, std::initializer_list<const char*> names) {
+  for (const char* name : names) {
+    if (arguments.has(name)) return vectors_in(arguments.at(name));
+  }
+  return 1;
+}
+
+template <class T = double>
+std::vector<T> optional_values(const Arguments& arguments, const std::string& name) {
+  return arguments.has(name) ? values_of<T>(arguments.at(name)) : std::vector<T>();
+}
+
+moldline::panel::IndexGroups groups_of(const Arguments& arguments, const std::string& name) {
+  moldline::panel::IndexGroups groups;
+  if (!arguments.has(name)) return groups;
+  const Arguments given = arguments.part(name);
+  for (const auto& [group, each] : given.all()) groups[group] = values_of<std::uint32_t>(each);
+  return groups;
+}
+
+moldline::panel::Reference reference_of(const Arguments& arguments) {
+  const Arguments given = arguments.part("reference");
+  const auto& point = given.at("point").list_value();
+  return {
+      given.number("area"),
+      given.number("chord"),
+      given.number("span"),
+      {point.values(0).number_value(), point.values(1).number_value(), point.values(2).number_value()}};
 }
 
 /// `design`, an array or values by name, and `control_points`.
@@ -234,6 +273,124 @@ Struct describe(const moldline::SessionState& state) {
   return made;
 }
 
+std::vector<double> difference(const moldline::Difference& each) {
+  return {each.step, each.error.value_or(std::numeric_limits<double>::quiet_NaN())};
+}
+
+Struct describe(const moldline::CheckedVariable& row) {
+  std::vector<double> errors;
+  for (const auto& each : row.stages) errors.push_back(each.error);
+  std::vector<std::array<double, 2>> differences;
+  for (const auto& each : row.differences) {
+    const auto pair = difference(each);
+    differences.push_back({pair[0], pair[1]});
+  }
+  const auto best = row.best();
+  Struct made = fields(
+      {{"design", value(row.design)},
+       {"variable", value(row.variable)},
+       {"numbers", array({row.size, row.dual, static_cast<double>(row.worst_vertex), row.functions})},
+       {"stages", list(row.stages, [](const auto& each) { return value(each.stage); })},
+       {"stage_errors", array(errors)},
+       {"first_discrepancy", value(row.first_discrepancy.value_or(""))},
+       {"differences", array(differences)},
+       {"best", array(best ? difference(*best) : std::vector<double>())}});
+  if (const auto& kink = row.kink) {
+    (*made.mutable_fields())["crease"] = value(kink->component);
+    (*made.mutable_fields())["kink"] = array(
+        {static_cast<double>(kink->vertices), static_cast<double>(kink->worst_vertex), kink->jump, kink->position[0],
+         kink->position[1], kink->position[2], kink->error});
+  }
+  return made;
+}
+
+Struct describe(const moldline::CheckedDesign& checked) {
+  std::vector<std::array<double, 2>> dots;
+  for (const auto& dot : checked.dot_products) dots.push_back({static_cast<double>(dot.block), dot.error});
+  return fields(
+      {{"design", array(checked.design)},
+       {"dot_products", array(dots)},
+       {"maxima",
+        array({checked.dot_product_max, checked.dual_max, checked.central_difference_max, checked.values_max})}});
+}
+
+Struct describe(const moldline::Check& check) {
+  return fields(
+      {{"maxima", array({check.dot_product_max, check.dual_max, check.central_difference_max})},
+       {"seed", value(static_cast<double>(check.seed))},
+       {"designs", list(check.designs, [](const auto& each) { return value(describe(each)); })},
+       {"rows", list(check.rows, [](const auto& each) { return value(describe(each)); })},
+       {"definition", value(check.definition)},
+       {"table", value(check.table)}});
+}
+
+Struct describe(const moldline::panel::Configuration& configuration) {
+  static constexpr const char* solvers[] = {"automatic", "double", "single", "iterative"};
+  return fields(
+      {{"configuration", value(configuration->id)},
+       {"vertex_count", value(configuration->vertex_count)},
+       {"cell_count", value(configuration->cell_count)},
+       {"unknowns", value(configuration->unknowns)},
+       {"symmetric", value(configuration->symmetric)},
+       {"trailing_edges", index_array(configuration->trailing_edges)},
+       {"roots", index_array(configuration->roots)},
+       {"solver", value(solvers[static_cast<int>(configuration->solver)])},
+       {"memory", value(static_cast<double>(configuration->memory))},
+       {"components", value(configuration->components)}});
+}
+
+Value loads(const moldline::panel::Loads& loads) {
+  const auto& [force, moment, lift, drag] = loads;
+  return array({force[0], force[1], force[2], moment[0], moment[1], moment[2], lift, drag});
+}
+
+Struct describe(const moldline::panel::Analysis& analysis) {
+  const auto coefficients = analysis.coefficients.array();
+  Struct components;
+  for (const auto& [name, each] : analysis.components) (*components.mutable_fields())[name] = loads(each);
+  return fields(
+      {{"id", value(analysis.id)},
+       {"coefficients", array(std::vector<double>(coefficients.begin(), coefficients.end()))},
+       {"numbers", array({analysis.wake_lift, analysis.disagreement, analysis.residual})},
+       {"residuals", array(analysis.residuals)},
+       {"total", loads(analysis.total)},
+       {"components", value(components)},
+       {"sections", value(fields(
+                        {{"edges", index_array(analysis.sections.edges)},
+                         {"middles", array(analysis.sections.middles)},
+                         {"spans", array(analysis.sections.spans)},
+                         {"loads", array(analysis.sections.loads)}}))},
+       {"cp", array(analysis.cp)},
+       {"vertex_cp", array(analysis.vertex_cp)},
+       {"supercritical_cells", value(analysis.supercritical_cells)},
+       {"rounds", value(analysis.rounds)},
+       {"reused", value(analysis.reused)}});
+}
+
+/// Notes the stages of a long call, and cancels it at one of them.
+class Watch {
+ public:
+  template <class Options>
+  Watch(const Arguments& arguments, Options& options) {
+    options.cancellation = cancellation_;
+    options.progress = [this, cancel_at = arguments.text("cancel_at")](const moldline::Progress& progress) {
+      if (stages_.empty() || stages_.back() != progress.stage) stages_.push_back(progress.stage);
+      if (progress.stage == cancel_at) cancellation_.cancel();
+    };
+  }
+  Watch(const Watch&) = delete;
+  Watch& operator=(const Watch&) = delete;
+
+  Struct with_stages(Struct made) const {
+    (*made.mutable_fields())["stages"] = value(stages_);
+    return made;
+  }
+
+ private:
+  moldline::Cancellation cancellation_;
+  std::vector<std::string> stages_;
+};
+
 class Driver {
  public:
   Struct run(const std::string& what, const Arguments& arguments) {
@@ -290,6 +447,12 @@ class Driver {
     if (what == "vjp") return vjp(arguments);
     if (what == "jacobian") return jacobian(arguments);
     if (what == "status") return status();
+    if (what == "check") return check(arguments);
+    if (what == "create_configuration") return create_configuration(arguments);
+    if (what == "get_configuration") return remember(panels_->get_configuration(arguments.text("configuration")));
+    if (what == "analyze") return analyze(arguments);
+    if (what == "panel_jvp") return panel_jvp(arguments);
+    if (what == "panel_vjp") return panel_vjp(arguments);
     throw std::invalid_argument("there is no command " + what);
   }
 
@@ -307,6 +470,9 @@ class Driver {
     if (arguments.has("first_pause")) options.retry.first_pause = moldline::Seconds(arguments.number("first_pause"));
     setups_.clear();
     sessions_.clear();
+    configurations_.clear();
+    // Connections are made on first use.
+    panels_ = std::make_unique<moldline::panel::Client>(arguments.text("address"), options);
     client_ = std::make_unique<moldline::Client>(arguments.text("address"), options);
     return {};
   }
@@ -317,16 +483,122 @@ class Driver {
     options.request_id = arguments.text("request_id");
     if (arguments.has("visibility")) options.visibility = visibility_of(arguments.text("visibility"));
     options.shared_with = arguments.texts("shared_with");
-    const moldline::Cancellation cancellation;
-    options.cancellation = cancellation;
-    std::vector<std::string> stages;
-    options.progress = [&, cancel_at = arguments.text("cancel_at")](const moldline::Progress& progress) {
-      if (stages.empty() || stages.back() != progress.stage) stages.push_back(progress.stage);
-      if (progress.stage == cancel_at) cancellation.cancel();
-    };
-    Struct made = remember(client_->create_setup(arguments.text("path"), options));
-    (*made.mutable_fields())["stages"] = value(stages);
-    return made;
+    const Watch watch(arguments, options);
+    return watch.with_stages(remember(client_->create_setup(arguments.text("path"), options)));
+  }
+
+  Struct check(const Arguments& arguments) {
+    auto options = call_options<moldline::CheckOptions>(arguments);
+    if (arguments.has("designs")) options.designs = static_cast<std::uint32_t>(arguments.number("designs"));
+    if (arguments.has("design")) options.design = point_of(arguments).design;
+    options.variables = arguments.texts("variables");
+    if (arguments.has("seed")) options.seed = static_cast<std::uint64_t>(arguments.number("seed"));
+    const Watch watch(arguments, options);
+    return watch.with_stages(describe(setup(arguments).check(options)));
+  }
+
+  Struct create_configuration(const Arguments& arguments) {
+    using moldline::panel::Solver;
+    using moldline::panel::Symmetry;
+    auto options = call_options<moldline::panel::ConfigurationOptions>(arguments);
+    options.cell_groups = groups_of(arguments, "cell_groups");
+    options.vertex_groups = groups_of(arguments, "vertex_groups");
+    if (arguments.has("components")) options.components = arguments.texts("components");
+    if (arguments.has("tolerance")) options.tolerance = arguments.number("tolerance");
+    options.symmetry = std::map<std::string, Symmetry>{
+        {"", Symmetry::Automatic}, {"none", Symmetry::None}, {"half", Symmetry::Half}, {"mirror", Symmetry::Mirror}}
+        .at(arguments.text("symmetry"));
+    options.solver = std::map<std::string, Solver>{
+        {"", Solver::Automatic}, {"double", Solver::Double}, {"single", Solver::Single}, {"iterative", Solver::Iterative}}
+        .at(arguments.text("solver"));
+    if (arguments.has("trailing_edges")) {
+      using moldline::panel::TrailingEdges;
+      const Arguments edges = arguments.part("trailing_edges");
+      if (edges.has("angle")) {
+        options.trailing_edges.rule = edges.number("angle");
+      } else if (edges.has("groups")) {
+        options.trailing_edges.rule = edges.texts("groups");
+      } else if (edges.has("edges")) {
+        options.trailing_edges.rule = values_of<std::array<std::uint32_t, 2>>(edges.at("edges"));
+      } else {
+        options.trailing_edges.rule = TrailingEdges::None{};
+      }
+    }
+    return remember(panels_->create_configuration(
+        values_of<moldline::Point>(arguments.at("vertices")), values_of<moldline::panel::Cell>(arguments.at("cells")),
+        options));
+  }
+
+  Struct analyze(const Arguments& arguments) {
+    auto options = call_options<moldline::panel::AnalyzeOptions>(arguments);
+    options.pressures = arguments.truth("pressures", true);
+    const Watch watch(arguments, options);
+    Vertices vertices;
+    if (arguments.has("vertices")) vertices = values_of<moldline::Point>(arguments.at("vertices"));
+    std::vector<moldline::panel::Wind> winds;
+    const double sideslip = arguments.has("sideslip") ? arguments.number("sideslip") : 0.0;
+    for (const Value& alpha : arguments.at("alphas").list_value().values()) {
+      winds.push_back({alpha.number_value(), sideslip});
+    }
+    const double mach = arguments.has("mach") ? arguments.number("mach") : 0.0;
+    const auto analyses =
+        configuration(arguments).sweep(view(vertices), mach, winds, reference_of(arguments), options);
+    for (const auto& each : analyses) analyses_.insert_or_assign(each.id, std::pair(each, vertices));
+    return watch.with_stages(
+        fields({{"analyses", list(analyses, [](const auto& each) { return value(describe(each)); })}}));
+  }
+
+  Struct panel_jvp(const Arguments& arguments) {
+    moldline::panel::Directions directions;
+    directions.count = count_of(arguments, {"vertices", "alpha", "sideslip", "mach", "area", "chord", "point"});
+    const auto vertices = optional_values<moldline::Point>(arguments, "vertices");
+    const auto alpha = optional_values(arguments, "alpha");
+    const auto sideslip = optional_values(arguments, "sideslip");
+    const auto mach = optional_values(arguments, "mach");
+    const auto area = optional_values(arguments, "area");
+    const auto chord = optional_values(arguments, "chord");
+    const auto point = optional_values<moldline::Point>(arguments, "point");
+    directions.vertices = vertices;
+    directions.alpha = alpha;
+    directions.sideslip = sideslip;
+    directions.mach = mach;
+    directions.area = area;
+    directions.chord = chord;
+    directions.point = point;
+    Vertices kept;
+    const auto tangents =
+        configuration(arguments).jvp(directions, analysed(arguments, kept), call_options(arguments));
+    std::vector<std::array<double, moldline::panel::Coefficients::count>> coefficients;
+    for (const auto& each : tangents.coefficients) coefficients.push_back(each.array());
+    return fields(
+        {{"coefficients", array(coefficients)},
+         {"section_loads", block(tangents.section_loads, tangents.count)},
+         {"cp", block(tangents.cp, tangents.count)}});
+  }
+
+  Struct panel_vjp(const Arguments& arguments) {
+    moldline::panel::Seeds seeds;
+    seeds.count = count_of(arguments, {"coefficients", "section_loads", "cp"});
+    std::vector<moldline::panel::Coefficients> coefficients;
+    using Row = std::array<double, moldline::panel::Coefficients::count>;
+    for (const Row& row : optional_values<Row>(arguments, "coefficients")) {
+      coefficients.push_back(moldline::panel::Coefficients::from(row));
+    }
+    const auto section_loads = optional_values(arguments, "section_loads");
+    const auto cp = optional_values(arguments, "cp");
+    seeds.coefficients = coefficients;
+    seeds.section_loads = section_loads;
+    seeds.cp = cp;
+    Vertices kept;
+    const auto gradients = configuration(arguments).vjp(seeds, analysed(arguments, kept), call_options(arguments));
+    return fields(
+        {{"vertices", block(gradients.vertices, gradients.count)},
+         {"alpha", array(gradients.alpha)},
+         {"sideslip", array(gradients.sideslip)},
+         {"mach", array(gradients.mach)},
+         {"area", array(gradients.area)},
+         {"chord", array(gradients.chord)},
+         {"point", array(gradients.point)}});
   }
 
   Struct deform(const Arguments& arguments) {
@@ -450,7 +722,38 @@ class Driver {
   moldline::Setup& setup(const Arguments& arguments) { return setups_.at(arguments.text("setup")); }
   moldline::Session& session(const Arguments& arguments) { return sessions_.at(arguments.text("session")); }
 
+  using Vertices = std::optional<std::vector<moldline::Point>>;
+
+  static std::optional<moldline::View<moldline::Point>> view(const Vertices& vertices) {
+    if (!vertices) return std::nullopt;
+    return *vertices;
+  }
+
+  /// The point of a derivative; `kept` owns its vertices.
+  moldline::panel::AnalysisPoint analysed(const Arguments& arguments, Vertices& kept) const {
+    const Arguments at = arguments.part("at");
+    if (at.has("analysis")) {
+      const auto& [analysis, vertices] = analyses_.at(at.text("analysis"));
+      kept = vertices;
+      return {analysis.id, view(kept), analysis.flow};
+    }
+    if (at.has("vertices")) kept = values_of<moldline::Point>(at.at("vertices"));
+    return {"", view(kept), {at.number("mach"), {at.number("alpha"), at.number("sideslip")}, reference_of(at)}};
+  }
+
+  Struct remember(moldline::panel::Configuration configuration) {
+    Struct made = describe(configuration);
+    configurations_.insert_or_assign(configuration->id, std::move(configuration));
+    return made;
+  }
+  moldline::panel::Configuration& configuration(const Arguments& arguments) {
+    return configurations_.at(arguments.text("configuration"));
+  }
+
   std::unique_ptr<moldline::Client> client_;
+  std::unique_ptr<moldline::panel::Client> panels_;
+  std::map<std::string, moldline::panel::Configuration> configurations_;
+  std::map<std::string, std::pair<moldline::panel::Analysis, Vertices>> analyses_;
   std::map<std::string, moldline::Setup> setups_;
   std::map<std::string, moldline::Session> sessions_;
   std::map<std::string, moldline::Linearisation> deformations_;

@@ -1,4 +1,4 @@
-"""Test driver of the Python client, see README.md; `driver.py aio` drives the asynchronous one."""
+"""Driver of the Python clients for the end-to-end tests: see README.md. `driver.py aio` drives those for asyncio."""
 
 from __future__ import annotations
 
@@ -6,12 +6,14 @@ import asyncio
 import base64
 import inspect
 import json
+import math
 import re
 import sys
 from typing import Any
 
 import moldline
 import moldline.aio
+import moldline.panel.aio
 import numpy as np
 
 Fields = dict[str, Any]
@@ -56,17 +58,100 @@ def of_functions(values: dict[str, Any]) -> Fields:
 
 
 async def settled(value: Any) -> Any:
-    """What the client for asyncio makes one wait for, and the other one has."""
+    """A result, awaited if the client is the one for asyncio."""
     return await value if inspect.isawaitable(value) else value
+
+
+def kept(arguments: Fields, *names: str) -> Fields:
+    """Those of the arguments, arrays decoded."""
+
+    def decoded(value: Any) -> Any:
+        if not isinstance(value, dict):
+            return value
+        return from_array(value) if "data" in value else {name: decoded(each) for name, each in value.items()}
+
+    return {name: decoded(arguments[name]) for name in names if name in arguments}
+
+
+def loads(given: moldline.panel.Loads) -> Fields:
+    return array([*given.force, *given.moment, given.lift, given.drag])
+
+
+def difference(given: moldline.Difference) -> list[float]:
+    return [given.step, math.nan if given.error is None else given.error]
+
+
+def checked_row(row: moldline.CheckedVariable) -> Fields:
+    made = {
+        "design": row.design,
+        "variable": row.variable,
+        "numbers": array([row.size, row.dual, float(row.worst_vertex), row.functions]),
+        "stages": list(row.stages),
+        "stage_errors": array(list(row.stages.values())),
+        "first_discrepancy": row.first_discrepancy or "",
+        "differences": array([difference(each) for each in row.differences]),
+        "best": array([] if row.best is None else difference(row.best)),
+    }
+    if row.kink is not None:
+        kink = row.kink
+        made["crease"] = kink.component
+        made["kink"] = array([float(kink.vertices), float(kink.worst_vertex), kink.jump, *kink.position, kink.error])
+    return made
+
+
+def described_check(check: moldline.Check) -> Fields:
+    return {
+        "maxima": array([check.dot_product_max, check.dual_max, check.central_difference_max]),
+        "seed": check.seed,
+        "designs": [
+            {
+                "design": array(list(each.design.values())),
+                "dot_products": array([[float(dot.block), dot.error] for dot in each.dot_products]),
+                "maxima": array([each.dot_product_max, each.dual_max, each.central_difference_max, each.values_max]),
+            }
+            for each in check.designs
+        ],
+        "rows": [checked_row(row) for row in check.rows],
+        "definition": check.definition,
+        "table": check.table(),
+    }
+
+
+def described_analysis(analysis: moldline.panel.Analysis) -> Fields:
+    sections = analysis.sections
+    return {
+        "id": analysis.id,
+        "coefficients": array([getattr(analysis.coefficients, name) for name in moldline.panel.COEFFICIENTS]),
+        "numbers": array([analysis.wake_lift, analysis.disagreement, analysis.residual]),
+        "residuals": array(np.array(analysis.residuals, dtype=float)),
+        "total": loads(analysis.total),
+        "components": {name: loads(each) for name, each in analysis.components.items()},
+        "sections": arrays(
+            {
+                "edges": sections.edges,
+                "middles": sections.middles,
+                "spans": sections.spans,
+                "loads": sections.loads,
+            }
+        ),
+        "cp": array(analysis.cp),
+        "vertex_cp": array(analysis.vertex_cp),
+        "supercritical_cells": analysis.supercritical_cells,
+        "rounds": analysis.rounds,
+        "reused": analysis.reused,
+    }
 
 
 class Driver:
     def __init__(self, module: Any) -> None:
         self._module = module
         self._client: Any = None
+        self._panels: Any = None
         self._setups: dict[str, Any] = {}
         self._sessions: dict[str, Any] = {}
         self._deformations: dict[str, moldline.Deformation] = {}
+        self._configurations: dict[str, Any] = {}
+        self._analyses: dict[str, moldline.panel.Analysis] = {}
 
     async def run(self, what: str, a: Fields) -> Fields:
         return await getattr(self, what)(a)
@@ -74,14 +159,28 @@ class Driver:
     async def connect(self, a: Fields) -> Fields:
         if self._client is not None:
             await settled(self._client.close())
+            await settled(self._panels.close())
         retry = moldline.Retry(**{name: a[name] for name in ("attempts", "first_pause") if name in a})
         tls = moldline.TLS(**a["tls"]) if "tls" in a else False
         timeout = a.get("timeout", 600.0)
-        self._client = self._module.Client(a["address"], token=a.get("token"), tls=tls, timeout=timeout, retry=retry)
-        self._setups, self._sessions = {}, {}
+        options: Fields = {"token": a.get("token"), "tls": tls, "timeout": timeout, "retry": retry}
+        panel = moldline.panel.aio if self._module is moldline.aio else moldline.panel
+        # Connections are made on first use.
+        self._client = self._module.Client(a["address"], **options)
+        self._panels = panel.Client(a["address"], **options)
+        self._setups, self._sessions, self._configurations = {}, {}, {}
         return {}
 
     async def create_setup(self, a: Fields) -> Fields:
+        stages, tell = self._progress(a)
+        options = {
+            name: a[name] for name in ("setup_file", "request_id", "visibility", "shared_with", "timeout") if name in a
+        }
+        setup = await settled(self._client.create_setup(a["path"], progress=tell, **options))
+        return {**self._remember_setup(setup), "stages": stages}
+
+    def _progress(self, a: Fields) -> tuple[list[str], Any]:
+        """The stages so far, and a callback that notes them and cancels the call at one of them."""
         stages: list[str] = []
         task = asyncio.current_task()
 
@@ -94,11 +193,81 @@ class Driver:
                 else:
                     raise Stop
 
-        options = {
-            name: a[name] for name in ("setup_file", "request_id", "visibility", "shared_with", "timeout") if name in a
+        return stages, tell
+
+    async def check(self, a: Fields) -> Fields:
+        stages, tell = self._progress(a)
+        options = kept(a, "designs", "design", "variables", "seed", "timeout")
+        check = await settled(self._setups[a["setup"]].check(**options, progress=tell))
+        return {**described_check(check), "stages": stages}
+
+    async def create_configuration(self, a: Fields) -> Fields:
+        edges = a.get("trailing_edges", {})
+        options = kept(a, "cell_groups", "vertex_groups", "symmetry", "components", "solver", "tolerance", "timeout")
+        if "angle" in edges:
+            options["trailing_edges"] = moldline.panel.Angle(edges["angle"])
+        elif "groups" in edges:
+            options["trailing_edges"] = moldline.panel.Groups(*edges["groups"])
+        elif "edges" in edges:
+            options["trailing_edges"] = moldline.panel.Edges(from_array(edges["edges"]))
+        elif "none" in edges:
+            options["trailing_edges"] = "none"
+        vertices, cells = from_array(a["vertices"]), from_array(a["cells"])
+        return self._remember_configuration(
+            await settled(self._panels.create_configuration(vertices, cells, **options))
+        )
+
+    async def get_configuration(self, a: Fields) -> Fields:
+        return self._remember_configuration(await settled(self._panels.get_configuration(a["configuration"])))
+
+    def _remember_configuration(self, configuration: Any) -> Fields:
+        self._configurations[configuration.id] = configuration
+        return {
+            "configuration": configuration.id,
+            "vertex_count": configuration.vertex_count,
+            "cell_count": configuration.cell_count,
+            "unknowns": configuration.unknowns,
+            "symmetric": configuration.symmetric,
+            "trailing_edges": array(configuration.trailing_edges),
+            "roots": array(configuration.roots),
+            "solver": configuration.solver,
+            "memory": configuration.memory,
+            "components": list(configuration.components),
         }
-        setup = await settled(self._client.create_setup(a["path"], progress=tell, **options))
-        return {**self._remember_setup(setup), "stages": stages}
+
+    async def analyze(self, a: Fields) -> Fields:
+        stages, tell = self._progress(a)
+        options = kept(a, "vertices", "mach", "sideslip", "pressures", "timeout")
+        reference = moldline.panel.Reference(**a["reference"])
+        configuration = self._configurations[a["configuration"]]
+        analyses = await settled(configuration.sweep(a["alphas"], **options, reference=reference, progress=tell))
+        self._analyses.update((each.id, each) for each in analyses)
+        return {"analyses": [described_analysis(each) for each in analyses], "stages": stages}
+
+    def _analysed(self, a: Fields) -> Any:
+        at = a["at"]
+        if "analysis" in at:
+            return self._analyses[at["analysis"]]
+        vertices = from_array(at["vertices"]) if "vertices" in at else None
+        reference = moldline.panel.Reference(**at["reference"])
+        return moldline.panel.AnalysisPoint(vertices, at["mach"], at["alpha"], at["sideslip"], reference)
+
+    async def panel_jvp(self, a: Fields) -> Fields:
+        directions = kept(a, "vertices", "alpha", "sideslip", "mach", "area", "chord", "point", "timeout")
+        configuration = self._configurations[a["configuration"]]
+        tangents = await settled(configuration.jvp(**directions, at=self._analysed(a)))
+        return {
+            "coefficients": of_functions(dict(tangents.coefficients)),
+            "section_loads": array(tangents.section_loads),
+            "cp": array(tangents.cp),
+        }
+
+    async def panel_vjp(self, a: Fields) -> Fields:
+        seeds = kept(a, "coefficients", "section_loads", "cp", "timeout")
+        configuration = self._configurations[a["configuration"]]
+        gradients = await settled(configuration.vjp(**seeds, at=self._analysed(a)))
+        names = ("vertices", "alpha", "sideslip", "mach", "area", "chord", "point")
+        return arrays({name: getattr(gradients, name) for name in names})
 
     async def get_setup(self, a: Fields) -> Fields:
         return self._remember_setup(await settled(self._client.get_setup(a["setup"])))

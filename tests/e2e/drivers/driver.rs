@@ -1,4 +1,4 @@
-//! Test driver of the Rust client: see README.md.
+//! Driver of the Rust client for the end-to-end tests: see README.md.
 
 use std::{
     collections::BTreeMap,
@@ -9,17 +9,18 @@ use std::{
 
 use base64::{Engine, prelude::BASE64_STANDARD};
 use moldline_client::{
-    At, Client, ControlPoints, CreateOptions, Design, DesignPoint, Directions, Error, Linearisation, Options,
-    Seeds, Session, SessionState, SessionUpdate, Setup, SetupAccess, Tls, Visibility,
+    At, Check, CheckOptions, CheckedVariable, Client, ControlPoints, CreateOptions, Design, DesignPoint,
+    Difference, Directions, Error, Linearisation, Options, Seeds, Session, SessionState, SessionUpdate,
+    Setup, SetupAccess, Tell, Tls, Visibility, panel,
 };
 use serde_json::{Map, Value, json};
 use tokio::sync::Notify;
 
-/// What a command ends with if not with an answer.
+/// Failure of a command.
 enum Failure {
     Refused(Error),
     Cancelled,
-    /// Of the command itself.
+    /// The command itself is wrong.
     Wrong(String),
 }
 
@@ -42,6 +43,11 @@ fn encoded(dtype: &str, shape: &[usize], bytes: &[u8]) -> Value {
 fn numbers(values: &[f64], shape: &[usize]) -> Value {
     let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
     encoded("<f8", shape, &bytes)
+}
+
+fn integers(values: &[u32], shape: &[usize]) -> Value {
+    let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
+    encoded("<u4", shape, &bytes)
 }
 
 fn array(values: &[f64]) -> Value {
@@ -103,6 +109,44 @@ impl Arguments {
         }
     }
 
+    fn part(&self, name: &str) -> Result<Self, Failure> {
+        Ok(Self(self.at(name)?.clone()))
+    }
+
+    fn number(&self, name: &str) -> f64 {
+        self.0[name].as_f64().unwrap_or_default()
+    }
+
+    fn values(&self, name: &str) -> Result<Vec<f64>, Failure> {
+        if self.has(name) { values_of(self.at(name)?) } else { Ok(Vec::new()) }
+    }
+
+    fn points(&self, name: &str) -> Result<Vec<[f64; 3]>, Failure> {
+        if self.has(name) { points_of(self.at(name)?) } else { Ok(Vec::new()) }
+    }
+
+    /// k, as the first array among the arguments of these names has it.
+    fn count(&self, names: &[&str]) -> usize {
+        names.iter().find_map(|&name| self.0.get(name)).map_or(1, vectors_in)
+    }
+
+    fn index_groups(&self, name: &str) -> Result<panel::IndexGroups, Failure> {
+        let given = self.0[name].as_object().cloned().unwrap_or_default();
+        given.iter().map(|(name, each)| Ok((name.clone(), indices_of(each)?))).collect()
+    }
+
+    fn reference(&self) -> Result<panel::Reference, Failure> {
+        let given = self.part("reference")?;
+        let point = given.at("point")?.as_array().ok_or_else(|| wrong("a point is a list"))?;
+        let point = point.iter().map(|part| part.as_f64().unwrap_or(f64::NAN)).collect::<Vec<_>>();
+        Ok(panel::Reference {
+            area: given.number("area"),
+            chord: given.number("chord"),
+            span: given.number("span"),
+            point: point.try_into().map_err(|_| wrong("a point has three parts"))?,
+        })
+    }
+
     fn control_points(&self) -> Result<ControlPoints, Failure> {
         let given = self.0["control_points"].as_object().cloned().unwrap_or_default();
         given.iter().map(|(component, each)| Ok((component.clone(), points_of(each)?))).collect()
@@ -131,6 +175,12 @@ fn values_of(array: &Value) -> Result<Vec<f64>, Failure> {
 
 fn points_of(array: &Value) -> Result<Vec<[f64; 3]>, Failure> {
     Ok(values_of(array)?.as_chunks().0.to_vec())
+}
+
+fn indices_of(array: &Value) -> Result<Vec<u32>, Failure> {
+    let text = array["data"].as_str().ok_or_else(|| wrong("an array has data"))?;
+    let bytes = BASE64_STANDARD.decode(text).map_err(|error| wrong(error.to_string()))?;
+    Ok(bytes.as_chunks().0.iter().map(|&bytes| u32::from_le_bytes(bytes)).collect())
 }
 
 fn vectors_in(array: &Value) -> usize {
@@ -193,9 +243,146 @@ fn describe_session(state: &SessionState) -> Value {
     made
 }
 
+fn difference(each: &Difference) -> [f64; 2] {
+    [each.step, each.error.unwrap_or(f64::NAN)]
+}
+
+fn describe_row(row: &CheckedVariable) -> Value {
+    let differences: Vec<[f64; 2]> = row.differences.iter().map(difference).collect();
+    let errors: Vec<f64> = row.stages.iter().map(|each| each.error).collect();
+    let mut made = json!({
+        "design": row.design,
+        "variable": row.variable,
+        "numbers": array(&[row.size, row.dual, row.worst_vertex as f64, row.functions]),
+        "stages": row.stages.iter().map(|each| &each.stage).collect::<Vec<_>>(),
+        "stage_errors": array(&errors),
+        "first_discrepancy": row.first_discrepancy.clone().unwrap_or_default(),
+        "differences": numbers(differences.as_flattened(), &[differences.len(), 2]),
+        "best": array(row.best().as_ref().map(difference).as_ref().map_or(&[], |best| best)),
+    });
+    if let Some(kink) = &row.kink {
+        let [x, y, z] = kink.position;
+        let (vertices, worst_vertex) = (kink.vertices as f64, kink.worst_vertex as f64);
+        made["crease"] = json!(kink.component);
+        made["kink"] = array(&[vertices, worst_vertex, kink.jump, x, y, z, kink.error]);
+    }
+    made
+}
+
+fn describe_check(check: &Check) -> Value {
+    let design = |each: &moldline_client::CheckedDesign| {
+        let dots: Vec<[f64; 2]> = each.dot_products.iter().map(|dot| [dot.block as f64, dot.error]).collect();
+        let maxima = [each.dot_product_max, each.dual_max, each.central_difference_max, each.values_max];
+        json!({
+            "design": array(&each.design),
+            "dot_products": numbers(dots.as_flattened(), &[dots.len(), 2]),
+            "maxima": array(&maxima),
+        })
+    };
+    json!({
+        "maxima": array(&[check.dot_product_max, check.dual_max, check.central_difference_max]),
+        "seed": check.seed,
+        "designs": check.designs.iter().map(design).collect::<Vec<_>>(),
+        "rows": check.rows.iter().map(describe_row).collect::<Vec<_>>(),
+        "definition": check.definition,
+        "table": check.table,
+    })
+}
+
+fn describe_configuration(configuration: &panel::Configuration) -> Value {
+    let edges = &configuration.trailing_edges;
+    let solver = match configuration.solver {
+        panel::Solver::Automatic => "automatic",
+        panel::Solver::Double => "double",
+        panel::Solver::Single => "single",
+        panel::Solver::Iterative => "iterative",
+    };
+    json!({
+        "configuration": configuration.id,
+        "vertex_count": configuration.vertex_count,
+        "cell_count": configuration.cell_count,
+        "unknowns": configuration.unknowns,
+        "symmetric": configuration.symmetric,
+        "trailing_edges": integers(edges.as_flattened(), &[edges.len(), 2]),
+        "roots": integers(&configuration.roots, &[configuration.roots.len()]),
+        "solver": solver,
+        "memory": configuration.memory,
+        "components": configuration.components,
+    })
+}
+
+fn loads(loads: &panel::Loads) -> Value {
+    array(&[loads.force.as_slice(), &loads.moment, &[loads.lift, loads.drag]].concat())
+}
+
+fn describe_analysis(analysis: &panel::Analysis) -> Value {
+    let sections = &analysis.sections;
+    let components: Map<_, _> =
+        analysis.components.iter().map(|(name, each)| (name.clone(), loads(each))).collect();
+    json!({
+        "id": analysis.id,
+        "coefficients": array(&analysis.coefficients.to_array()),
+        "numbers": array(&[analysis.wake_lift, analysis.disagreement, analysis.residual]),
+        "residuals": array(&analysis.residuals),
+        "total": loads(&analysis.total),
+        "components": components,
+        "sections": {
+            "edges": integers(sections.edges.as_flattened(), &[sections.edges.len(), 2]),
+            "middles": points(&sections.middles),
+            "spans": numbers(sections.spans.as_flattened(), &[sections.spans.len(), 2]),
+            "loads": array(&sections.loads),
+        },
+        "cp": array(&analysis.cp),
+        "vertex_cp": array(&analysis.vertex_cp),
+        "supercritical_cells": analysis.supercritical_cells,
+        "rounds": analysis.rounds,
+        "reused": analysis.reused,
+    })
+}
+
+/// Notes the stages of a long call, and tells when to cancel it.
+struct Watch {
+    stages: Arc<Mutex<Vec<String>>>,
+    cancelled: Arc<Notify>,
+}
+
+impl Watch {
+    fn new(arguments: &Arguments) -> (Self, Tell) {
+        let watch = Self { stages: Arc::default(), cancelled: Arc::default() };
+        let (stages, cancelled) = (watch.stages.clone(), watch.cancelled.clone());
+        let cancel_at = arguments.text("cancel_at");
+        let tell = move |progress: moldline_client::Progress| {
+            let mut stages = stages.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+            if stages.last() != Some(&progress.stage) {
+                stages.push(progress.stage.clone());
+            }
+            if progress.stage == cancel_at {
+                cancelled.notify_one();
+            }
+        };
+        (watch, Box::new(tell))
+    }
+
+    /// The result of a call, whose future is dropped if it is to be cancelled.
+    async fn result<T>(&self, call: impl Future<Output = Result<T, Error>>) -> Result<T, Failure> {
+        tokio::select! {
+            biased;
+            () = self.cancelled.notified() => Err(Failure::Cancelled),
+            result = call => Ok(result?),
+        }
+    }
+
+    fn stages(&self) -> Value {
+        json!(*self.stages.lock().unwrap_or_else(|poisoned| poisoned.into_inner()))
+    }
+}
+
 #[derive(Default)]
 struct Driver {
     client: Option<Client>,
+    panels: Option<panel::Client>,
+    configurations: BTreeMap<String, panel::Configuration>,
+    analyses: BTreeMap<String, panel::Analysis>,
     setups: BTreeMap<String, Setup>,
     sessions: BTreeMap<String, Session>,
     deformations: BTreeMap<String, Linearisation>,
@@ -212,10 +399,6 @@ impl Driver {
             }
             "mesh" => {
                 let mesh = self.setup(arguments)?.mesh().await?;
-                let integers = |values: &[u32], shape: &[usize]| {
-                    let bytes: Vec<u8> = values.iter().flat_map(|value| value.to_le_bytes()).collect();
-                    encoded("<u4", shape, &bytes)
-                };
                 let seam: Vec<u8> = mesh.seam.iter().map(|&seam| seam.into()).collect();
                 Ok(json!({
                     "vertices": points(&mesh.vertices),
@@ -289,6 +472,16 @@ impl Driver {
             "jvp" => self.jvp(arguments).await,
             "vjp" => self.vjp(arguments).await,
             "jacobian" => self.jacobian(arguments).await,
+            "check" => self.check(arguments).await,
+            "create_configuration" => self.create_configuration(arguments).await,
+            "get_configuration" => {
+                let panels = self.panels.clone().ok_or_else(|| wrong("not connected"))?;
+                let configuration = panels.get_configuration(&arguments.text("configuration")).await?;
+                Ok(self.remember_configuration(configuration))
+            }
+            "analyze" => self.analyze(arguments).await,
+            "panel_jvp" => self.panel_jvp(arguments).await,
+            "panel_vjp" => self.panel_vjp(arguments).await,
             "status" => {
                 let status = self.client()?.status().await?;
                 Ok(json!({
@@ -326,40 +519,177 @@ impl Driver {
         if let Some(pause) = arguments.seconds("first_pause") {
             options.retry.first_pause = pause;
         }
-        *self = Self { client: Some(Client::with(&arguments.text("address"), &options)?), ..Self::default() };
+        let address = arguments.text("address");
+        *self = Self {
+            client: Some(Client::with(&address, &options)?),
+            panels: Some(panel::Client::with(&address, &options)?),
+            ..Self::default()
+        };
         Ok(json!({}))
     }
 
     async fn create_setup(&mut self, arguments: &Arguments) -> Answer {
-        let stages = Arc::new(Mutex::new(Vec::<String>::new()));
-        let cancelled = Arc::new(Notify::new());
-        let (told, cancel, cancel_at) = (stages.clone(), cancelled.clone(), arguments.text("cancel_at"));
+        let (watch, tell) = Watch::new(arguments);
         let options = CreateOptions {
             setup_file: arguments.text("setup_file"),
             visibility: if arguments.has("visibility") { Some(arguments.visibility()?) } else { None },
             shared_with: arguments.texts("shared_with"),
-            progress: Some(Box::new(move |progress| {
-                let mut stages = told.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
-                if stages.last() != Some(&progress.stage) {
-                    stages.push(progress.stage.clone());
-                }
-                if progress.stage == cancel_at {
-                    cancel.notify_one();
-                }
-            })),
+            progress: Some(tell),
             request_id: arguments.optional("request_id"),
             timeout: arguments.seconds("timeout"),
         };
         let client = self.client()?;
-        // The future of the call is dropped where the other one ends first.
-        let setup = tokio::select! {
-            biased;
-            () = cancelled.notified() => return Err(Failure::Cancelled),
-            setup = client.create_setup(arguments.text("path"), options) => setup?,
-        };
+        let setup = watch.result(client.create_setup(arguments.text("path"), options)).await?;
         let mut made = self.remember_setup(setup);
-        made["stages"] = json!(*stages.lock().unwrap_or_else(|poisoned| poisoned.into_inner()));
+        made["stages"] = watch.stages();
         Ok(made)
+    }
+
+    async fn check(&self, arguments: &Arguments) -> Answer {
+        let (watch, tell) = Watch::new(arguments);
+        let mut options = CheckOptions {
+            design: if arguments.has("design") { Some(arguments.point()?.design) } else { None },
+            variables: arguments.texts("variables"),
+            progress: Some(tell),
+            timeout: arguments.seconds("timeout"),
+            ..CheckOptions::default()
+        };
+        if arguments.has("designs") {
+            options.designs = arguments.number("designs") as u32;
+        }
+        if arguments.has("seed") {
+            options.seed = arguments.number("seed") as u64;
+        }
+        let check = watch.result(self.setup(arguments)?.check(options)).await?;
+        let mut made = describe_check(&check);
+        made["stages"] = watch.stages();
+        Ok(made)
+    }
+
+    async fn create_configuration(&mut self, arguments: &Arguments) -> Answer {
+        let mut options = panel::ConfigurationOptions {
+            cell_groups: arguments.index_groups("cell_groups")?,
+            vertex_groups: arguments.index_groups("vertex_groups")?,
+            components: arguments.has("components").then(|| arguments.texts("components")),
+            tolerance: arguments.0["tolerance"].as_f64(),
+            ..Default::default()
+        };
+        options.symmetry = match arguments.text("symmetry").as_str() {
+            "" => panel::Symmetry::Automatic,
+            "none" => panel::Symmetry::None,
+            "half" => panel::Symmetry::Half,
+            "mirror" => panel::Symmetry::Mirror,
+            other => return Err(wrong(format!("there is no symmetry {other}"))),
+        };
+        options.solver = match arguments.text("solver").as_str() {
+            "" => panel::Solver::Automatic,
+            "double" => panel::Solver::Double,
+            "single" => panel::Solver::Single,
+            "iterative" => panel::Solver::Iterative,
+            other => return Err(wrong(format!("there is no solver {other}"))),
+        };
+        if arguments.has("trailing_edges") {
+            let edges = arguments.part("trailing_edges")?;
+            options.trailing_edges = if edges.has("angle") {
+                panel::TrailingEdges::Angle(edges.number("angle"))
+            } else if edges.has("groups") {
+                panel::TrailingEdges::Groups(edges.texts("groups"))
+            } else if edges.has("edges") {
+                panel::TrailingEdges::Edges(indices_of(edges.at("edges")?)?.as_chunks().0.to_vec())
+            } else {
+                panel::TrailingEdges::None
+            };
+        }
+        let panels = self.panels.clone().ok_or_else(|| wrong("not connected"))?;
+        let vertices = points_of(arguments.at("vertices")?)?;
+        let cells = indices_of(arguments.at("cells")?)?;
+        let configuration = panels.create_configuration(&vertices, cells.as_chunks().0, &options).await?;
+        Ok(self.remember_configuration(configuration))
+    }
+
+    fn remember_configuration(&mut self, configuration: panel::Configuration) -> Value {
+        let made = describe_configuration(&configuration);
+        self.configurations.insert(configuration.id.clone(), configuration);
+        made
+    }
+
+    fn configuration(&self, arguments: &Arguments) -> Result<panel::Configuration, Failure> {
+        let known = self.configurations.get(&arguments.text("configuration"));
+        let known = known.ok_or_else(|| wrong("no such configuration"))?;
+        Ok(match arguments.seconds("timeout") {
+            Some(timeout) => known.with_timeout(Some(timeout)),
+            None => known.clone(),
+        })
+    }
+
+    async fn analyze(&mut self, arguments: &Arguments) -> Answer {
+        let (watch, tell) = Watch::new(arguments);
+        let vertices = if arguments.has("vertices") { Some(arguments.points("vertices")?) } else { None };
+        let alphas = arguments.at("alphas")?.as_array().cloned().unwrap_or_default();
+        let sideslip = arguments.number("sideslip");
+        let wind = |alpha: &Value| panel::Wind { alpha: alpha.as_f64().unwrap_or(f64::NAN), sideslip };
+        let winds: Vec<panel::Wind> = alphas.iter().map(wind).collect();
+        let pressures = arguments.0["pressures"].as_bool().unwrap_or(true);
+        let options = panel::AnalyzeOptions { pressures, progress: Some(tell) };
+        let (configuration, reference) = (self.configuration(arguments)?, arguments.reference()?);
+        let mach = arguments.number("mach");
+        let call = configuration.sweep(vertices.as_deref(), mach, &winds, &reference, options);
+        let analyses = watch.result(call).await?;
+        let described: Vec<Value> = analyses.iter().map(describe_analysis).collect();
+        self.analyses.extend(analyses.into_iter().map(|each| (each.id.clone(), each)));
+        Ok(json!({"analyses": described, "stages": watch.stages()}))
+    }
+
+    fn analysed(&self, arguments: &Arguments) -> Result<panel::At, Failure> {
+        let at = arguments.part("at")?;
+        if let Some(id) = at.optional("analysis") {
+            return Ok(self.analyses.get(&id).ok_or_else(|| wrong("no such analysis"))?.into());
+        }
+        let vertices = if at.has("vertices") { Some(at.points("vertices")?.into()) } else { None };
+        let wind = panel::Wind { alpha: at.number("alpha"), sideslip: at.number("sideslip") };
+        let flow = panel::Flow { mach: at.number("mach"), wind, reference: at.reference()? };
+        Ok(panel::AnalysisPoint { vertices, flow }.into())
+    }
+
+    async fn panel_jvp(&self, arguments: &Arguments) -> Answer {
+        let directions = panel::Directions {
+            count: arguments.count(&["vertices", "alpha", "sideslip", "mach", "area", "chord", "point"]),
+            vertices: arguments.points("vertices")?,
+            alpha: arguments.values("alpha")?,
+            sideslip: arguments.values("sideslip")?,
+            mach: arguments.values("mach")?,
+            area: arguments.values("area")?,
+            chord: arguments.values("chord")?,
+            point: arguments.points("point")?,
+        };
+        let tangents = self.configuration(arguments)?.jvp(&directions, self.analysed(arguments)?).await?;
+        let coefficients: Vec<f64> =
+            tangents.coefficients.iter().flat_map(panel::Coefficients::to_array).collect();
+        Ok(json!({
+            "coefficients": block(&coefficients, tangents.count),
+            "section_loads": block(&tangents.section_loads, tangents.count),
+            "cp": block(&tangents.cp, tangents.count),
+        }))
+    }
+
+    async fn panel_vjp(&self, arguments: &Arguments) -> Answer {
+        let coefficients = arguments.values("coefficients")?;
+        let seeds = panel::Seeds {
+            count: arguments.count(&["coefficients", "section_loads", "cp"]),
+            coefficients: coefficients.as_chunks().0.iter().map(|&each| each.into()).collect(),
+            section_loads: arguments.values("section_loads")?,
+            cp: arguments.values("cp")?,
+        };
+        let gradients = self.configuration(arguments)?.vjp(&seeds, self.analysed(arguments)?).await?;
+        Ok(json!({
+            "vertices": point_block(&gradients.vertices, gradients.count),
+            "alpha": array(&gradients.alpha),
+            "sideslip": array(&gradients.sideslip),
+            "mach": array(&gradients.mach),
+            "area": array(&gradients.area),
+            "chord": array(&gradients.chord),
+            "point": points(&gradients.point),
+        }))
     }
 
     async fn deform(&mut self, arguments: &Arguments) -> Answer {

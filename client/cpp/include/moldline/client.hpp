@@ -1,5 +1,5 @@
 /// \file
-/// Client, set-ups and sessions.
+/// Client, set-ups and sessions of the mesh service.
 #pragma once
 
 #include <filesystem>
@@ -9,58 +9,60 @@
 #include <string>
 #include <vector>
 
+#include "moldline/check.hpp"
 #include "moldline/model.hpp"
 
 namespace moldline {
 
-/// How a connection is encrypted; all files are PEM.
+/// TLS settings of a connection; all files are PEM.
 struct Tls {
-  /// Certificates of the authorities that are trusted; the system's if empty.
+  /// Certificates of the trusted authorities; the system's if empty.
   std::filesystem::path authorities;
-  /// The client's own certificate and private key, where the server asks for one (mTLS).
+  /// The client's own certificate and private key, for servers that require one (mTLS).
   std::filesystem::path certificate;
   std::filesystem::path key;
-  /// The name that the server's certificate has to have; that of the address if empty.
+  /// Server name that the certificate must carry; that of the address if empty.
   std::string server_name;
 };
 
-/// When a call is tried again: with growing pauses, as long as its timeout allows.
+/// Retry policy: exponential backoff with jitter, within the timeout of the call.
 ///
-/// A server that cannot be reached or is about to stop (`Unavailable`) is always worth another try, one that is full
-/// (`ResourceExhausted`) if it says when, and not before. All calls are safe to repeat: they change nothing, or carry a
-/// request id by which the server recognises them.
+/// Calls are retried if the server cannot be reached or is stopping (`Unavailable`), or if it is full and names a delay
+/// (`ResourceExhausted`). All calls are safe to repeat: they change nothing, or carry a request id by which the server
+/// recognises them.
 ///
-/// The pause before attempt k + 1 is what the server asks for, plus a random share of `first_pause * 2^(k-1)`, so that
-/// those who failed together do not come back together.
+/// The pause before attempt k + 1 is the delay that the server names, plus a random share of `first_pause * 2^(k-1)`, so
+/// that clients that failed together do not return together.
 struct Retry {
-  /// How often a call is tried in all; 1 for never again.
+  /// Number of attempts, including the first; 1 for no retry.
   int attempts = 10;
+  /// Upper bound of the first random pause.
   Seconds first_pause{0.1};
-  /// Beyond which pauses do not grow.
+  /// Upper bound of all random pauses.
   Seconds longest_pause{5.0};
 };
 
-/// No limit of time.
+/// No timeout.
 inline constexpr Seconds no_limit{std::numeric_limits<double>::infinity()};
 
-/// Of a connection.
+/// Options of a connection.
 struct Options {
-  /// Says who you are; it goes with every call, so use it with `tls` unless the network is your own.
+  /// Bearer token, sent with every call; use it with `tls` unless the network is trusted.
   std::string token;
-  /// Plain text without.
+  /// TLS settings; plain text if absent.
   std::optional<Tls> tls;
-  /// How long a call other than `create_setup` may take in all, with what is tried again.
+  /// Timeout of a call over all its attempts. Set-ups and checks have none by default.
   Seconds timeout{600.0};
   Retry retry;
 };
 
-/// Ends calls that wait in another thread. Copies are the same one.
+/// Cancels calls that run in other threads. Copies share one state.
 class Cancellation {
  public:
   struct State;
 
   Cancellation();
-  /// Calls that are given this end with `Cancelled`: those under way and all later ones.
+  /// Ends running and later calls that are given this with `Cancelled`.
   void cancel() const;
 
   const std::shared_ptr<State>& state() const { return state_; }
@@ -69,46 +71,60 @@ class Cancellation {
   std::shared_ptr<State> state_;
 };
 
-/// Of one call.
+/// Options of a call.
 struct CallOptions {
-  /// The connection's (or none, for `create_setup`) if absent.
+  /// Timeout over all attempts; the connection's (none for set-ups and checks) if absent.
   std::optional<Seconds> timeout;
   std::optional<Cancellation> cancellation;
 };
 
-/// Of `Client::create_setup`.
+/// Options of `Client::create_setup`.
 struct CreateOptions : CallOptions {
   /// The file that describes the set-up; the server's usual names if empty.
   std::string setup_file;
-  /// Who else may use it. If absent, nobody if it is new, else as it was.
+  /// Who else may use it. If absent, nobody if it is new, else unchanged.
   std::optional<Visibility> visibility;
-  /// Tenants, with `Visibility::Tenants`.
+  /// Names of tenants, with `Visibility::Tenants`.
   std::vector<std::string> shared_with;
   Tell progress;
-  /// Name of this request, so that a retry is recognised; made up if empty.
+  /// Name of this request, by which a retry is recognised; random if empty.
   std::string request_id;
 };
 
-/// Of `Setup::session`.
+/// Options of `Setup::session`.
 struct SessionOptions : CallOptions {
-  /// For people.
+  /// Descriptive label.
   std::string label;
   /// As in `CreateOptions`.
   std::string request_id;
 };
 
-/// Of `Session::deform`.
+/// Options of `Session::deform`.
 struct DeformOptions : CallOptions {
-  /// Whether the measures of every cell are wanted too.
+  /// Whether to return the quality measures of every cell.
   bool cell_quality = false;
 };
 
-/// Of `Session::jacobian`.
+/// Options of `Session::jacobian`.
 struct JacobianOptions : CallOptions {
   Tell progress;
 };
 
-/// What `Session::update` stores; what is absent stays as it was.
+/// Options of `Setup::check`.
+struct CheckOptions : CallOptions {
+  /// Number of designs: the baseline, then random ones far from it.
+  std::uint32_t designs = 1;
+  /// The only design to check at, in their place.
+  std::optional<DesignPoint::Design> design;
+  /// Names of variables or of groups of them whose derivatives are compared with dual numbers and central differences; all if
+  /// empty.
+  std::vector<std::string> variables;
+  /// Seed of the random designs and vectors.
+  std::uint64_t seed = 1;
+  Tell progress;
+};
+
+/// Update of a session; absent fields stay unchanged.
 struct SessionUpdate {
   std::optional<DesignPoint> design;
   std::optional<std::string> label;
@@ -120,25 +136,25 @@ namespace internal {
 class Connection;
 }
 
-/// A connection to a server. Safe to use from several threads; set-ups and sessions keep it open. Everything throws the
-/// classes of errors.hpp, and `std::invalid_argument` for arguments that contradict each other.
+/// A connection to a mesh service. Thread-safe; set-ups and sessions keep it open. All methods throw the classes of errors.hpp,
+/// and `std::invalid_argument` for arguments that contradict each other.
 class Client {
  public:
-  /// To an address such as `127.0.0.1:50051`; connects when it is first used.
+  /// A client of the server at an address such as `127.0.0.1:50051`; connects on first use.
   explicit Client(const std::string& address = "127.0.0.1:50051", const Options& options = {});
 
-  /// Uploads and builds a set-up; the same content again gives the set-up that exists. `path` is its folder, or an archive
-  /// of it (.tar, .tar.gz, .tgz, .zip). Throws `InvalidArgument` naming every field that is wrong.
+  /// Uploads and builds a set-up; identical content returns the existing set-up. `path` is its folder, or an archive of it
+  /// (.tar, .tar.gz, .tgz, .zip). Throws `InvalidArgument` naming every wrong field.
   Setup create_setup(const std::filesystem::path& path, const CreateOptions& options = {}) const;
-  /// The set-up of that id.
+  /// The set-up with this id.
   Setup get_setup(const std::string& id, const CallOptions& options = {}) const;
-  /// The set-ups that the caller may use: its own, those shared with it, and public ones; in the order of their ids.
+  /// The set-ups that the caller may use (its own, shared and public ones), ordered by id.
   std::vector<SetupSummary> list_setups(const CallOptions& options = {}) const;
-  /// The open session of that id, on whichever server it was opened.
+  /// The open session with this id, on whichever server of the store it was opened.
   Session resume(const std::string& session_id, const CallOptions& options = {}) const;
-  /// The caller's open sessions, without their designs; in the order of their ids.
+  /// The caller's open sessions without their designs, ordered by id.
   std::vector<SessionState> list_sessions(const CallOptions& options = {}) const;
-  /// What the server does and holds: of the caller's tenant, or of all for administrators.
+  /// Load, caches and store of the server: the caller's tenant's share, or all of it for administrators.
   Status status(const CallOptions& options = {}) const;
 
  private:
@@ -160,13 +176,16 @@ class Setup {
 
   /// The reference mesh.
   Mesh mesh(const CallOptions& options = {}) const;
-  /// Those of the baseline, metres.
+  /// Control points of all components at the baseline, metres.
   ControlPoints control_points(const CallOptions& options = {}) const;
-  /// Changes who else may use a set-up of the caller's own.
+  /// Changes who else may use a set-up that the caller owns.
   void share(
       Visibility visibility, const std::vector<std::string>& shared_with = {}, const CallOptions& options = {});
-  /// Gives up a set-up of the caller's own. Sessions open on it go on; whoever else uploaded the same content keeps it.
+  /// Gives up the caller's ownership. Open sessions continue, and other owners of the same content keep the set-up.
   void remove(const CallOptions& options = {}) const;
+  /// Checks the derivatives: products against their transposes, dual numbers and central differences. A check of a large
+  /// set-up takes minutes. Throws `InvalidArgument` naming the wrong field, `ResourceExhausted` while other checks are running.
+  Check check(const CheckOptions& options = {}) const;
   /// Opens a session.
   Session session(const SessionOptions& options = {}) const;
 
@@ -175,35 +194,37 @@ class Setup {
   std::shared_ptr<const SetupFacts> facts_;
 };
 
-/// Work on one set-up, apart from all other sessions.
+/// A session: work on one set-up, isolated from all other sessions.
 ///
-/// The server keeps it, with the design that was stored last, over restarts and until it is closed: an optimizer stores
-/// where it has got to (`update`), and goes on from there (`Client::resume`) when it was interrupted itself. The end of this
-/// object does not close it; `close` or a `SessionCloser` does.
+/// The server keeps it with the design stored last, across restarts and until it is closed: an optimizer stores its accepted
+/// designs (`update`), and continues from the last one after an interruption (`Client::resume`). Destroying this object does
+/// not close the session; `close` or a `SessionCloser` does.
 class Session {
  public:
   Session(Setup setup, std::shared_ptr<internal::Connection> connection, SessionState state);
 
   const Setup& setup() const { return setup_; }
-  /// The session as it was stored when it was last opened, resumed, updated or refreshed here.
+  /// The stored state, as of the last opening, resumption, update or refresh here.
   const SessionState& state() const { return state_; }
   const std::string& id() const { return state_.id; }
 
-  /// Stores the session's design, label or both. When it returns, it is durable. Throws `Aborted` if the session has been
-  /// updated elsewhere since: `refresh` reads what is there now.
+  /// Stores the session's design, label or both, durably. Throws `Aborted` if the session has been updated elsewhere since:
+  /// `refresh` reads the current state.
   void update(const SessionUpdate& update, const CallOptions& options = {});
   /// Reads `state` from the server again.
   void refresh(const CallOptions& options = {});
 
-  /// The mesh at a design. A pure function: the same design gives the same bytes. Throws `InvalidArgument` naming the entry
-  /// that is wrong, `FailedPrecondition` if the mesh cannot follow.
+  /// The mesh at a design. A pure function: the same design gives the same bytes. Throws `InvalidArgument` naming the wrong
+  /// entry, `FailedPrecondition` if the mesh cannot follow.
   Deformation deform(const DesignPoint& point = {}, const DeformOptions& options = {}) const;
-  /// How the outputs change along directions of the inputs: `J v`, exactly. Throws `InvalidArgument` naming the entry that
-  /// is wrong, `NotFound` for a bare id of a linearisation that the server does not hold any more.
+  /// Jacobian-vector products `J v`, exactly: changes of the outputs along directions of the inputs. Throws `InvalidArgument`
+  /// naming the wrong entry, `NotFound` for a bare id of a linearisation that the server no longer holds.
   Tangents jvp(const Directions& directions, const At& at = {}, const CallOptions& options = {}) const;
-  /// Gradients of weighted sums of the outputs by the inputs: `J^T w`, exactly. Throws as `jvp`.
+  /// Vector-Jacobian products `J^T w`, exactly: gradients of weighted sums of the outputs with respect to the inputs. Throws as
+  /// `jvp`.
   Gradients vjp(const Seeds& seeds, const At& at = {}, const CallOptions& options = {}) const;
-  /// Derivatives of all outputs by all design variables, exactly; received in blocks. Throws as `jvp`.
+  /// The Jacobian, exactly: derivatives of all outputs with respect to all design variables, received in blocks. Throws as
+  /// `jvp`.
   Jacobian jacobian(const At& at = {}, const JacobianOptions& options = {}) const;
 
   /// Closes the session for good; closing it again does nothing.
@@ -215,7 +236,7 @@ class Session {
   SessionState state_;
 };
 
-/// Closes a session at the end of its own scope. A failure of that is ignored: the session stays open.
+/// Closes a session at the end of its scope. If that fails, the session stays open, and the failure is ignored.
 class SessionCloser {
  public:
   explicit SessionCloser(Session& session) : session_(session) {}

@@ -16,21 +16,21 @@ namespace moldline {
 struct FieldViolation {
   /// Path of the field, such as `design[3]`.
   std::string field;
-  /// What is wrong with it: index, value, limit and the way out.
+  /// The fault: index, value, limit and the remedy.
   std::string description;
 };
 
-/// A request failed. What is thrown is always one of the classes below.
+/// Failure of a request. Only the classes below are thrown.
 class Error : public std::runtime_error {
  public:
   Error(const std::string& message, std::vector<FieldViolation> violations, std::optional<Seconds> retry_after)
       : std::runtime_error(message), violations_(std::move(violations)), retry_after_(retry_after) {}
 
-  /// The class as a word, the same on the wire and in all languages, such as `INVALID_ARGUMENT`.
+  /// Name of the class, such as `INVALID_ARGUMENT`; the same in the protocol and in all clients.
   virtual const char* code() const noexcept = 0;
-  /// The faults of the request, if it is the request's fault.
+  /// Faults of the request's fields, if any.
   const std::vector<FieldViolation>& violations() const noexcept { return violations_; }
-  /// After which trying again may help, if it may.
+  /// Delay after which a retry may succeed, if any.
   std::optional<Seconds> retry_after() const noexcept { return retry_after_; }
 
  private:
@@ -38,63 +38,63 @@ class Error : public std::runtime_error {
   std::optional<Seconds> retry_after_;
 };
 
-/// The request is wrong whatever the state of the server.
+/// The request is invalid, whatever the state of the server.
 class InvalidArgument : public Error {
  public:
   using Error::Error;
   const char* code() const noexcept override { return "INVALID_ARGUMENT"; }
 };
 
-/// There is no set-up or session of that id that the caller may see, or no linearisation any more for a bare id.
+/// The caller can see nothing with this id, or the server no longer holds it.
 class NotFound : public Error {
  public:
   using Error::Error;
   const char* code() const noexcept override { return "NOT_FOUND"; }
 };
 
-/// The request id named a request with other content before.
+/// An earlier request with other content had this request id.
 class AlreadyExists : public Error {
  public:
   using Error::Error;
   const char* code() const noexcept override { return "ALREADY_EXISTS"; }
 };
 
-/// Somebody else was faster: the session has another generation than was expected. Read it again.
+/// A concurrent update won: the session has a generation other than expected. Read it again.
 class Aborted : public Error {
  public:
   using Error::Error;
   const char* code() const noexcept override { return "ABORTED"; }
 };
 
-/// The server does not know who this is: the token is missing, unknown or has expired.
+/// The caller is not authenticated: the token is missing, unknown or expired.
 class Unauthenticated : public Error {
  public:
   using Error::Error;
   const char* code() const noexcept override { return "UNAUTHENTICATED"; }
 };
 
-/// The server knows who this is, and that this is not theirs to do.
+/// The caller is authenticated, but lacks the permission.
 class PermissionDenied : public Error {
  public:
   using Error::Error;
   const char* code() const noexcept override { return "PERMISSION_DENIED"; }
 };
 
-/// The design is valid, but the mesh cannot follow it: a seam is lost, or a projection does not converge.
+/// The input is valid, but the method fails on it, such as a mesh that loses a seam or a wake that cuts the body.
 class FailedPrecondition : public Error {
  public:
   using Error::Error;
   const char* code() const noexcept override { return "FAILED_PRECONDITION"; }
 };
 
-/// The server is full, or a quota is; where trying again may help, `retry_after` says when.
+/// The server or a quota is full; `retry_after` is set if a retry may succeed.
 class ResourceExhausted : public Error {
  public:
   using Error::Error;
   const char* code() const noexcept override { return "RESOURCE_EXHAUSTED"; }
 };
 
-/// A message is larger than the server or the client accepts.
+/// A message exceeds the size limit of server or client.
 class OutOfRange : public Error {
  public:
   using Error::Error;
@@ -108,21 +108,21 @@ class Cancelled : public Error {
   const char* code() const noexcept override { return "CANCELLED"; }
 };
 
-/// The call took longer than its timeout.
+/// The call exceeded its timeout.
 class DeadlineExceeded : public Error {
  public:
   using Error::Error;
   const char* code() const noexcept override { return "DEADLINE_EXCEEDED"; }
 };
 
-/// The server cannot be reached, or is about to stop.
+/// The server cannot be reached, or is stopping.
 class Unavailable : public Error {
  public:
   using Error::Error;
   const char* code() const noexcept override { return "UNAVAILABLE"; }
 };
 
-/// A fault of the server, or an answer that cannot be understood.
+/// A fault of the server, or a malformed answer.
 class InternalError : public Error {
  public:
   using Error::Error;

@@ -1,5 +1,5 @@
 /// \file
-/// What the client asks with and is answered: plain data.
+/// Data model of the mesh service: arguments and results.
 #pragma once
 
 #include <array>
@@ -18,18 +18,18 @@
 namespace moldline {
 
 using Seconds = std::chrono::duration<double>;
-/// Seconds since 1970-01-01 00:00 UTC, as the server gives them.
+/// A time in seconds since 1970-01-01 00:00 UTC.
 using Time = std::chrono::time_point<std::chrono::system_clock, Seconds>;
-/// x, y and z: of a vertex or a control point, metres; of a derivative by it, per metre.
+/// x, y and z of a vertex or a control point, metres; or a derivative with respect to it, per metre.
 using Point = std::array<double, 3>;
 
-/// Values that follow each other and belong to somebody else, who has to outlive the view.
+/// A view of contiguous values, whose owner must outlive it.
 template <class T>
 class View {
  public:
   View() = default;
   View(const T* data, std::size_t size) : data_(data), size_(size) {}
-  // NOLINTNEXTLINE(google-explicit-constructor): a vector is a view where one is asked for.
+  // NOLINTNEXTLINE(google-explicit-constructor): a vector converts to a view.
   View(const std::vector<T>& values) : data_(values.data()), size_(values.size()) {}
 
   const T* data() const { return data_; }
@@ -46,24 +46,24 @@ class View {
   std::size_t size_ = 0;
 };
 
-/// How far something long has come.
+/// Progress of a long call.
 struct Progress {
-  /// Of a set-up: `receive`, `read`, `queue`, and then the engine's stages. `jacobian` of a Jacobian.
+  /// Name of the stage: of a set-up, `receive`, `read`, `queue`, then the engine's stages; of a Jacobian, `jacobian`.
   std::string stage;
-  /// Share of the stage, 0 to 1.
+  /// Fraction of the stage that is done, 0 to 1.
   double fraction = 0.0;
-  /// For people.
+  /// Description for display.
   std::string message;
 };
 
-/// Takes each step; an exception of it cancels the call and goes on to the caller.
+/// Callback for progress; its exceptions cancel the call and are thrown by it.
 using Tell = std::function<void(const Progress&)>;
 
 /// One scalar design variable.
 struct Variable {
   /// Such as `wing.twist[3]`.
   std::string name;
-  /// Of the three numbers and of its entry in a design, such as `m` or `deg`.
+  /// Unit of its values and bounds, such as `m` or `deg`.
   std::string unit;
   double baseline = 0.0;
   /// Bounds; may be infinite.
@@ -74,7 +74,7 @@ struct Variable {
 /// Variables that were declared together.
 struct VariableGroup {
   std::string name;
-  /// Index of the first one's entry of a design; they follow each other, the last axis of `shape` fastest.
+  /// Index of the first variable in a design; the others follow, the last axis of `shape` fastest.
   std::size_t first = 0;
   /// Empty for a scalar.
   std::vector<std::size_t> shape;
@@ -86,46 +86,46 @@ struct Function {
   std::string name;
   /// Such as `m^2`.
   std::string unit;
-  /// For the reference mesh.
+  /// Value for the reference mesh.
   double value = 0.0;
 };
 
-/// Who may use a set-up besides its owner: nobody, tenants that are named, or every tenant of the server.
+/// Who may use a set-up besides its owner: nobody, named tenants, or every tenant of the server.
 enum class Visibility { Private, Tenants, Public };
 
-/// What a set-up is to the caller.
+/// Access of the caller, and of others, to a set-up.
 struct SetupAccess {
   /// Whether the caller has uploaded it.
   bool owned = false;
-  /// To the owner: what was chosen. To others: `Tenants` or `Public`, whichever lets them use it.
+  /// For the owner, the chosen visibility; for others, the one that gives them access: `Tenants` or `Public`.
   Visibility visibility = Visibility::Private;
-  /// Tenants; to the owner only.
+  /// Names of tenants; shown to the owner only.
   std::vector<std::string> shared_with;
 };
 
-/// What is known of a set-up without asking the server again.
+/// Description of a set-up.
 struct SetupFacts {
   /// Hash of its content.
   std::string id;
-  /// Whether it was new to the caller when the call that returned this created it.
+  /// Whether the call that returned this created the set-up for the caller.
   bool built = false;
-  /// The title its author gave it.
+  /// Title given by its author.
   std::string name;
   SetupAccess access;
-  /// What was found, as text and as a JSON document.
+  /// Report of the build, as text and as a JSON document.
   std::string report_text;
   std::string report_json;
-  /// In the order of a design's entries.
+  /// Design variables, in the order of a design's entries.
   std::vector<Variable> variables;
   std::vector<VariableGroup> groups;
-  /// Names of the components, and how many control points each has.
+  /// Names of the components, and their numbers of control points.
   std::vector<std::string> components;
   std::vector<std::size_t> control_point_counts;
   /// The scalar outputs besides the vertices.
   std::vector<Function> functions;
   std::size_t vertex_count = 0;
   std::size_t cell_count = 0;
-  /// Of the engine, to build it.
+  /// Time that the engine took to build it.
   Seconds build_time{0.0};
 };
 
@@ -136,7 +136,7 @@ struct SetupSummary {
   std::size_t vertex_count = 0;
   std::size_t cell_count = 0;
   std::size_t variable_count = 0;
-  /// When it was first uploaded.
+  /// Time of the first upload.
   Time created;
   SetupAccess access;
 };
@@ -149,44 +149,45 @@ struct Mesh {
   std::vector<Point> vertices;
   /// Vertices of each cell, counter-clockwise from outside.
   std::vector<std::array<std::uint32_t, 4>> cells;
-  /// By cell: index of the component that owns it.
+  /// Index of the component that owns each cell.
   std::vector<std::uint32_t> cell_owner;
-  /// By vertex: whether it lies on a seam of two components; 0 or 1.
+  /// Whether each vertex lies on a seam of two components; 0 or 1.
   std::vector<std::uint8_t> seam;
 };
 
 /// Control points by component, patch after patch, the second parameter fastest.
 using ControlPoints = std::map<std::string, std::vector<Point>>;
 
-/// A design, and control points from elsewhere in place of what the design makes of their components.
+/// A design, and external control points that replace those of their components.
 struct DesignPoint {
   /// Every entry in its variable's unit.
   using Vector = std::vector<double>;
-  /// Variables that are not named stay at their baseline.
+  /// Values by name; all others stay at their baseline.
   using Named = std::map<std::string, double>;
   /// The baseline.
   using Baseline = std::monostate;
+  using Design = std::variant<Baseline, Vector, Named>;
 
   DesignPoint() = default;
-  // NOLINTBEGIN(google-explicit-constructor): all of these are a design where one is asked for.
+  // NOLINTBEGIN(google-explicit-constructor): all of these convert to a design.
   DesignPoint(Vector values) : design(std::move(values)) {}
   DesignPoint(Named values) : design(std::move(values)) {}
   DesignPoint(std::initializer_list<Named::value_type> values) : design(Named(values)) {}
   // NOLINTEND(google-explicit-constructor)
 
-  std::variant<Baseline, Vector, Named> design;
+  Design design;
   ControlPoints control_points;
 };
 
-/// A session as the server has stored it.
+/// Stored state of a session.
 struct SessionState {
   std::string id;
   std::string setup_id;
   /// Grows by one with each update.
   std::uint64_t generation = 0;
-  /// As stored last: all variables in order, and the control points that were given. Absent in lists.
+  /// The design stored last: all variables in order, and external control points. Absent in lists.
   std::optional<DesignPoint> design;
-  /// For people.
+  /// Descriptive label.
   std::string label;
   Time created;
   Time updated;
@@ -202,14 +203,14 @@ struct Distribution {
   double above_5_percent = 0.0;
 };
 
-/// Measures of some cells.
+/// Quality measures of a set of cells.
 struct QualitySummary {
   std::size_t cells = 0;
   /// Verdict's aspect ratio.
   Distribution aspect_ratio;
   /// Longest over shortest edge.
   Distribution edge_ratio;
-  /// Against the owner surface's current normal; 1 at best, negative where a corner is inverted.
+  /// With respect to the owner surface's current normal; 1 at best, negative where a corner is inverted.
   double min_scaled_jacobian = 0.0;
   /// Interior angles, degrees.
   double min_angle = 0.0;
@@ -219,17 +220,17 @@ struct QualitySummary {
   double skew_max = 0.0;
   /// Cells whose area vector points against their owner's normal.
   std::size_t folded = 0;
-  /// Cells with a corner that is turned against the owner's normal.
+  /// Cells with a corner whose normal points against their owner's normal.
   std::size_t inverted = 0;
 };
 
-/// Measures of all cells and of each component's.
+/// Quality measures of all cells, and of the cells of each component.
 struct QualityReport {
   QualitySummary total;
   std::map<std::string, QualitySummary> components;
 };
 
-/// Measures of every cell.
+/// Quality measures of every cell.
 struct CellQuality {
   std::vector<double> aspect_ratio;
   std::vector<double> edge_ratio;
@@ -237,55 +238,55 @@ struct CellQuality {
   std::vector<double> skew;
 };
 
-/// How exactly a mesh lies where it has to.
+/// Residuals of the constraints on a deformed mesh.
 struct Residuals {
   /// Largest distance of a seam vertex from one of its components before the smooth projection, metres.
   double seam = 0.0;
   /// Largest distance of a protected or stationary vertex from a component that it lies on, metres.
   double held = 0.0;
-  /// Largest |Phi| of an active vertex at the end, metres; 0 for a sharp outer mold line.
+  /// Largest final |Phi| of an active vertex, metres; 0 for a sharp outer mold line.
   double projection = 0.0;
-  /// Most projection steps that a vertex took.
+  /// Largest number of projection steps of a vertex.
   std::uint32_t projection_steps = 0;
 };
 
-/// How long requests took on the server.
+/// Time that requests took on the server, in the queue and in the engine.
 struct Timings {
   Seconds queue{0.0};
   Seconds engine{0.0};
 };
 
-/// Where a derivative is taken: what the server keeps of a deformation, and the design to make it again.
+/// Point of linearisation: the id of a linearisation on the server, and the design to recompute it from.
 struct Linearisation {
-  /// The same for the same set-up and design, on any server.
+  /// Determined by set-up and design: the same on every server.
   std::string id;
   DesignPoint point;
 };
 
 /// A deformed mesh.
 struct Deformation {
-  /// In the set-up mesh's order.
+  /// In the order of the set-up's mesh, metres.
   std::vector<Point> vertices;
-  /// The scalar outputs in the order of the set-up's, each in its unit.
+  /// Scalar outputs in the set-up's order, each in its unit.
   std::vector<double> functions;
   Linearisation linearisation;
   QualityReport quality;
-  /// Only if asked for.
+  /// If requested.
   std::optional<CellQuality> cell_quality;
   Residuals residuals;
   Timings timings;
 };
 
-/// Where a derivative is taken: a deformation, what is left of it, or a design. Best is a deformation: the server has it.
+/// Point of linearisation: a deformation, which is best since the server holds its linearisation, or a design.
 struct At {
   /// The baseline.
   At() : point(DesignPoint()) {}
-  // NOLINTBEGIN(google-explicit-constructor): all of these are a place where one is asked for.
+  // NOLINTBEGIN(google-explicit-constructor): all of these convert to a point of linearisation.
   At(const Deformation& deformation) : At(deformation.linearisation) {}
   At(const Linearisation& linearisation) : id(linearisation.id), point(linearisation.point) {}
   At(DesignPoint design) : point(std::move(design)) {}
   // NOLINTEND(google-explicit-constructor)
-  /// What the server has to hold still; it is `NotFound` otherwise.
+  /// The id of a linearisation alone; `NotFound` if the server no longer holds it.
   static At held(std::string id) {
     At at;
     at.id = std::move(id);
@@ -297,13 +298,13 @@ struct At {
   std::optional<DesignPoint> point;
 };
 
-/// k directions of the inputs; what is empty is zero.
+/// k directions of the inputs; empty blocks are zero.
 struct Directions {
   /// k.
   std::size_t count = 1;
-  /// (k, number of variables), the last axis fastest: each entry in its variable's unit.
+  /// (k, number of variables), the last axis fastest, each entry in its variable's unit.
   View<double> design;
-  /// By component: (k, number of its control points), on top of what `design` does to them.
+  /// By component: (k, number of its control points), metres, in addition to the effect of `design` on them.
   std::map<std::string, View<Point>> control_points;
 };
 
@@ -317,76 +318,76 @@ struct Tangents {
   Timings timings;
 };
 
-/// k weighted sums of the outputs, and by which inputs their gradients are wanted; weights that are empty are zero.
+/// Weights of k sums of the outputs (empty blocks are zero), and the inputs that their gradients are taken with respect to.
 struct Seeds {
   /// k.
   std::size_t count = 1;
-  /// (k, number of vertices): weights of the vertices' coordinates, such as the derivative of an objective by them.
+  /// (k, number of vertices): weights of the vertices' coordinates, such as the gradient of an objective with respect to them.
   View<Point> vertices;
   /// (k, number of functions): weights of the functions.
   View<double> functions;
-  /// Whether gradients by the design variables are wanted.
+  /// Whether to take gradients with respect to the design variables.
   bool by_design = true;
-  /// Components by whose control points gradients are wanted too.
+  /// Components whose control points to take gradients with respect to.
   std::vector<std::string> by_control_points;
 };
 
 /// Gradients of k weighted sums.
 struct Gradients {
   std::size_t count = 0;
-  /// (k, number of variables), per its variable's unit; empty if not asked for.
+  /// (k, number of variables), per unit of the variable; empty if not requested.
   std::vector<double> design;
-  /// By component, if asked for: (k, number of its control points), per metre.
+  /// By requested component: (k, number of its control points), per metre.
   ControlPoints control_points;
   Timings timings;
 };
 
-/// Derivatives of all outputs by all design variables.
+/// Derivatives of all outputs with respect to all design variables.
 struct Jacobian {
-  /// (number of variables, number of vertices), metres per the variable's unit.
+  /// (number of variables, number of vertices), metres per unit of the variable.
   std::vector<Point> vertices;
   /// (number of variables, number of functions).
   std::vector<double> functions;
   Timings timings;
 };
 
-/// Use of one of the server's caches.
+/// Usage of a cache of the server.
 struct CacheStatus {
   std::uint64_t entries = 0;
   std::uint64_t bytes = 0;
-  /// The server's, for all tenants.
+  /// Budget of all tenants together.
   std::uint64_t budget_bytes = 0;
-  /// Since the server started; for administrators, others see 0.
+  /// Since the start of the server; 0 unless the caller is an administrator.
   std::uint64_t hits = 0;
   std::uint64_t misses = 0;
   std::uint64_t evictions = 0;
 };
 
-/// A request that computes, or waits for it.
+/// A request that is computing or queued.
 struct Work {
   /// Such as `build`, `deform`, `jvp`, `vjp`, `jacobian`.
   std::string kind;
   std::string tenant;
-  /// Empty where there is none (yet).
+  /// Empty if there is none (yet).
   std::string setup_id;
   std::string session_id;
-  /// Whether it computes; otherwise it waits.
+  /// Whether it is computing; otherwise it is queued.
   bool running = false;
-  /// Since it came, and since it computes.
+  /// Time since its arrival, and since its computation began.
   Seconds age{0.0};
   Seconds running_for{0.0};
-  /// How far it has come, where that is known.
+  /// Current stage, and fraction of it that is done, where known.
   std::string stage;
   double fraction = 0.0;
 };
 
-/// What the server does and holds.
+/// Load, caches and store of a server.
 struct Status {
   std::string version;
   Seconds uptime{0.0};
-  /// Whether the figures are those of all tenants (for administrators), or of the caller's only.
+  /// Whether the figures cover all tenants (for administrators), or the caller's only.
   bool all_tenants = false;
-  /// Requests that compute and that wait for it, and how many may.
+  /// Requests that are computing and queued, and the limits of both.
   std::uint64_t running = 0;
   std::uint64_t queued = 0;
   std::uint64_t running_limit = 0;
@@ -400,7 +401,7 @@ struct Status {
   std::uint64_t stored_bytes = 0;
   CacheStatus setup_cache;
   CacheStatus linearisation_cache;
-  /// Longest first.
+  /// Requests that are computing or queued, oldest first.
   std::vector<Work> work;
 };
 

@@ -1,16 +1,17 @@
 /// \file
-/// Client of `moldline panel serve`: subsonic flow over surface meshes by a panel method, with exact derivatives.
+/// Client of the panel service: subsonic flow over surface meshes by a panel method, with exact derivatives.
 ///
 ///     moldline::panel::Client panels("127.0.0.1:50052");
 ///     auto configuration = panels.create_configuration(mesh.vertices, mesh.cells);
 ///     auto flow = configuration.analyze(moved.vertices, {0.7, {0.02, 0.0}, {68.2, 3.42, 23.82, {}}});
-///     std::vector<double> weights(moldline::panel::Coefficients::count);
-///     weights[0] = 1.0;  // of the lift
+///     moldline::panel::Coefficients weights;
+///     weights.lift = 1.0;
 ///     moldline::panel::Seeds seeds;
-///     seeds.coefficients = weights;
+///     seeds.coefficients = {&weights, 1};
 ///     std::vector<moldline::Point> gradient = configuration.vjp(seeds, flow.at(moved.vertices)).vertices;
 ///
-/// Axes: x aft, y starboard, z up; metres, radians.
+/// Axes: x aft, y starboard, z up; metres and radians. The service stores nothing durably: a configuration or an analysis that
+/// it has dropped is sent again, with the same results to the last bit.
 #pragma once
 
 #include <array>
@@ -38,42 +39,60 @@ using Cell = std::array<std::uint32_t, 4>;
 /// Cells or vertices by name.
 using IndexGroups = std::map<std::string, std::vector<std::uint32_t>>;
 
-/// The plane y = 0: as the reference vertices are; every cell is solved; the mesh is one half; it has both, and one is solved.
-enum class Symmetry { Automatic, None, Half, Mirror };
+/// Symmetry with respect to the plane y = 0.
+enum class Symmetry {
+  /// Found from the reference positions.
+  Automatic,
+  /// Every cell is solved; the flow may have sideslip.
+  None,
+  /// The mesh is one half, open on the plane.
+  Half,
+  /// The mesh has both halves, and one is solved.
+  Mirror
+};
 
-/// How the system is solved: by its size, by LU in double precision, in single precision with refinement, or by GMRES.
-enum class Solver { Automatic, Double, Single, Iterative };
+/// Solver of the linear system.
+enum class Solver {
+  /// Chosen by the number of unknowns.
+  Automatic,
+  /// LU in double precision.
+  Double,
+  /// LU in single precision, refined in double precision.
+  Single,
+  /// GMRES with a block preconditioner.
+  Iterative
+};
 
-/// Where wakes leave the surface.
+/// Trailing edges, where wakes leave the surface.
 struct TrailingEdges {
-  /// Bodies without lift.
+  /// None: bodies without lift.
   struct None {};
   /// Pairs of vertices.
   using Edges = std::vector<std::array<std::uint32_t, 2>>;
   /// Edges with both vertices in one of these vertex groups.
   using Groups = std::vector<std::string>;
-  /// Where the outward normal turns by at least so many degrees, pointing downstream.
+  /// Edges that point downstream and across which the outward normal turns by at least this angle, degrees (60 to 180).
   using Angle = double;
 
   std::variant<Angle, None, Edges, Groups> rule = 120.0;
 };
 
-/// Of `Client::create_configuration`.
+/// Options of `Client::create_configuration`.
 struct ConfigurationOptions : CallOptions {
-  /// Parts of the surface whose forces are told.
+  /// Parts of the surface, for forces; `parts` makes them from a mesh.
   IndexGroups cell_groups;
-  /// For trailing edges.
+  /// Vertices by name, for trailing edges.
   IndexGroups vertex_groups;
   Symmetry symmetry = Symmetry::Automatic;
   TrailingEdges trailing_edges;
-  /// Cell groups whose forces are told; all if absent.
+  /// Cell groups whose forces are returned; all if absent.
   std::optional<std::vector<std::string>> components;
   Solver solver = Solver::Automatic;
   /// Residual relative to the right-hand side; 1e-12 if absent.
   std::optional<double> tolerance;
 };
 
-/// What is known of a configuration without asking the server again.
+/// Description of a configuration.
 struct ConfigurationFacts {
   /// Hash of its content.
   std::string id;
@@ -85,42 +104,43 @@ struct ConfigurationFacts {
   bool symmetric = false;
   /// Trailing edges of the solved half, in the order of section loads.
   std::vector<std::array<std::uint32_t, 2>> trailing_edges;
-  /// Vertices where a trailing edge ends on a body, over which its circulation goes on.
+  /// Vertices where a trailing edge ends on a body, across which its circulation continues.
   std::vector<std::uint32_t> roots;
   Solver solver = Solver::Automatic;
-  /// Bytes that an analysis takes at its peak, about.
+  /// Approximate peak memory of an analysis, bytes.
   std::uint64_t memory = 0;
-  /// Whose forces are told.
+  /// Names of the parts whose forces are returned.
   std::vector<std::string> components;
 };
 
-/// Where the wind comes from, rad.
+/// Direction of the wind, rad.
 struct Wind {
+  /// Angle of attack.
   double alpha = 0.0;
-  /// Positive if it comes from starboard.
+  /// Positive if the wind comes from starboard.
   double sideslip = 0.0;
 };
 
-/// What coefficients refer to: of the whole aircraft, also for a half model.
+/// Reference values of the coefficients: of the whole aircraft, also for a half model.
 struct Reference {
-  /// m^2.
+  /// Reference area, m^2.
   double area = 1.0;
-  /// Of the pitching moment, m.
+  /// Reference length of the pitching moment, m.
   double chord = 1.0;
-  /// Of rolling and yawing moment, m.
+  /// Reference length of rolling and yawing moment, m.
   double span = 1.0;
-  /// About which moments are taken, m.
+  /// Moment reference point, m.
   Point point{};
 };
 
-/// Mach number, wind, and what coefficients refer to.
+/// Mach number, wind and reference values.
 struct Flow {
   double mach = 0.0;
   Wind wind;
   Reference reference;
 };
 
-/// Scalar outputs, in the order of blocks of coefficients.
+/// Scalar outputs, their changes along a direction, or their weights in a sum.
 struct Coefficients {
   static constexpr std::size_t count = 9;
 
@@ -131,25 +151,26 @@ struct Coefficients {
   /// Lift and drag from the pressure.
   double pressure_lift = 0.0;
   double pressure_drag = 0.0;
-  /// Pitching moment, nose up positive, from the pressure.
+  /// Pitching moment from the pressure, nose up positive.
   double moment = 0.0;
-  /// Derivatives by the angle of attack, 1/rad.
+  /// Derivatives with respect to the angle of attack, 1/rad.
   double lift_slope = 0.0;
   double moment_slope = 0.0;
   double pressure_lift_slope = 0.0;
   /// x of the neutral point, m; not a number without lift.
   double neutral_point = 0.0;
 
-  std::array<double, count> array() const {
-    return {lift, induced_drag, pressure_lift, pressure_drag, moment, lift_slope, moment_slope, pressure_lift_slope, neutral_point};
-  }
+  /// The values in this order.
+  std::array<double, count> array() const;
+  /// The inverse of `array`.
+  static Coefficients from(const std::array<double, count>& values);
 };
 
-/// Forces and moments of a part of the surface, from the pressure.
+/// Force and moment coefficients of a part of the surface, from the pressure.
 struct Loads {
-  /// Along x, y, z, by dynamic pressure and reference area.
+  /// Force along x, y, z over dynamic pressure and reference area.
   Point force{};
-  /// About x, y, z, by span, chord and span as well; the second is nose up.
+  /// Moment about x, y, z over dynamic pressure, reference area, and span, chord and span; the second is nose up.
   Point moment{};
   double lift = 0.0;
   double drag = 0.0;
@@ -157,64 +178,64 @@ struct Loads {
 
 /// Loads along the trailing edges of the solved half.
 struct Sections {
-  /// As vertices.
+  /// The trailing edges, as pairs of vertices.
   std::vector<std::array<std::uint32_t, 2>> edges;
-  /// Their middles, m.
+  /// Their midpoints, m.
   std::vector<Point> middles;
-  /// From first to second vertex in y and z, m.
+  /// y and z of the vector from first to second vertex, m.
   std::vector<std::array<double, 2>> spans;
   /// Section lift coefficient times chord, m.
   std::vector<double> loads;
 };
 
-/// Where a derivative is taken: an analysis and what it comes from.
+/// Point of linearisation: vertices and flow, and the id of their analysis, whose factored system the server may hold.
 struct AnalysisPoint {
-  /// As an analysis has it; may be empty.
+  /// Id of the analysis; may be empty.
   std::string id;
-  /// The reference positions if absent. Views: what they see has to live until the call returns.
+  /// A view of the positions, m, which must live until the call returns; the reference positions if absent.
   std::optional<View<Point>> vertices;
   Flow flow;
 };
 
-/// The flow at one angle of attack.
+/// The flow in one wind.
 struct Analysis {
-  /// Names configuration, vertices and Mach number; the same at every angle.
+  /// Determined by configuration, vertices and Mach number: the same in every wind.
   std::string id;
   Flow flow;
   Coefficients coefficients;
   /// Lift coefficient of the wakes: the part of the circulation's lift that acts on them and not on the body.
   double wake_lift = 0.0;
-  /// Lift from the pressure and on the wakes over the lift that momentum demands for the circulation, less one: a measure of the
-  /// discretisation.
+  /// A measure of the discretisation error: lift from the pressure and on the wakes, over the lift that momentum requires for
+  /// the circulation, minus one.
   double disagreement = 0.0;
   Loads total;
   std::map<std::string, Loads> components;
   Sections sections;
-  /// Of every cell and at every vertex; empty if they were not wanted.
+  /// Pressure coefficients of cells and at vertices; empty if not requested.
   std::vector<double> cp;
   std::vector<double> vertex_cp;
-  /// Cells where the flow would be supersonic.
+  /// Number of cells where the flow would be supersonic.
   std::size_t supercritical_cells = 0;
-  /// Of the linear system, relative to its right-hand side; after each round of refinement, or iteration.
+  /// Residual of the linear system relative to its right-hand side: at the end, and after each round of refinement or iteration.
   double residual = 0.0;
   std::vector<double> residuals;
   std::size_t rounds = 0;
-  /// Whether the server had it solved already.
+  /// Whether the server had the solution already.
   bool reused = false;
   Timings timings;
 
-  /// For derivatives here. `vertices` are those that were analysed, from which the server solves again what it has dropped.
+  /// For derivatives at this point. `vertices` are the analysed ones, from which the server solves again what it has dropped.
   AnalysisPoint at(View<Point> vertices) const { return {id, vertices, flow}; }
 };
 
-/// Of `Configuration::analyze` and `sweep`.
+/// Options of `Configuration::analyze` and `sweep`.
 struct AnalyzeOptions : CallOptions {
-  /// Whether the pressures of cells and vertices are wanted.
+  /// Whether to return the pressures of cells and vertices.
   bool pressures = true;
   Tell progress;
 };
 
-/// `count` directions of the inputs, each block (count, ...); what is empty is zero.
+/// `count` directions of the inputs, each block (count, ...); empty blocks are zero.
 struct Directions {
   std::size_t count = 1;
   /// (count, vertices), m.
@@ -229,31 +250,31 @@ struct Directions {
   View<Point> point;
 };
 
-/// How the outputs change.
+/// Changes of the outputs along `count` directions.
 struct Tangents {
   std::size_t count = 0;
-  /// (count, 9), (count, sections), (count, cells).
-  std::vector<double> coefficients;
+  /// (count,), (count, sections), (count, cells).
+  std::vector<Coefficients> coefficients;
   std::vector<double> section_loads;
   std::vector<double> cp;
   Timings timings;
 };
 
-/// Weights of the outputs, of `count` sums; what is empty is zero.
+/// Weights of `count` sums of the outputs; empty blocks are zero.
 struct Seeds {
   std::size_t count = 1;
-  /// (count, 9) in the order of `Coefficients`, (count, sections), (count, cells).
-  View<double> coefficients;
+  /// (count,), (count, sections), (count, cells).
+  View<Coefficients> coefficients;
   View<double> section_loads;
   View<double> cp;
 };
 
-/// Gradients by the inputs.
+/// Gradients of `count` weighted sums with respect to the inputs.
 struct Gradients {
   std::size_t count = 0;
   /// (count, vertices), per metre.
   std::vector<Point> vertices;
-  /// (count,) each.
+  /// (count,) each, per rad, rad, 1, m^2 and m.
   std::vector<double> alpha;
   std::vector<double> sideslip;
   std::vector<double> mach;
@@ -264,7 +285,7 @@ struct Gradients {
   Timings timings;
 };
 
-/// A mesh made ready on the server. Immutable; serves any positions of its vertices.
+/// A mesh prepared for analyses on the server. Immutable; valid for all positions of its vertices.
 class Configuration {
  public:
   Configuration(
@@ -274,37 +295,38 @@ class Configuration {
   const ConfigurationFacts& facts() const { return facts_; }
   const ConfigurationFacts* operator->() const { return &facts_; }
 
-  /// The flow over vertices, or over the reference positions if absent. A pure function: a retry is safe. Throws
-  /// `InvalidArgument` naming what is wrong, `FailedPrecondition` if the method fails on these vertices, such as a wake that
-  /// cuts the body.
+  /// The flow over the mesh with its vertices at given positions, or at the reference positions if absent. A pure function:
+  /// the same input gives the same bytes. Throws `InvalidArgument` naming the wrong field, `FailedPrecondition` if the method
+  /// fails on these vertices, such as a wake that cuts the body.
   Analysis analyze(std::optional<View<Point>> vertices, const Flow& flow, const AnalyzeOptions& options = {}) const;
-  /// The same in several winds, for hardly more than the price of one.
+  /// Analyses in several winds at little more than the cost of one.
   std::vector<Analysis> sweep(
       std::optional<View<Point>> vertices, double mach, const std::vector<Wind>& winds, const Reference& reference,
       const AnalyzeOptions& options = {}) const;
-  /// How the outputs change along directions of the inputs: `J v`, exactly.
+  /// Jacobian-vector products `J v`, exactly: changes of the outputs along directions of the inputs.
   Tangents jvp(const Directions& directions, const AnalysisPoint& at, const CallOptions& options = {}) const;
-  /// Gradients of weighted sums of the outputs: `J^T w`, exactly. Several share one pass.
+  /// Vector-Jacobian products `J^T w`, exactly: gradients of weighted sums of the outputs. Several sums share one pass.
   Gradients vjp(const Seeds& seeds, const AnalysisPoint& at, const CallOptions& options = {}) const;
 
  private:
   std::shared_ptr<internal::PanelConnection> connection_;
   ConfigurationFacts facts_;
-  /// What the server is sent again if it has dropped it; null if another client sent it.
+  /// Sent again if the server has dropped the configuration; null if another client created it.
   std::shared_ptr<const v1::CreateConfigurationRequest> request_;
 };
 
-/// A connection to `moldline panel serve`. Safe to use from several threads; configurations keep it open.
+/// A connection to a panel service (`moldline panel serve`). Thread-safe; configurations keep it open.
 class Client {
  public:
   explicit Client(const std::string& address = "127.0.0.1:50051", const Options& options = {});
 
-  /// Checks a mesh and finds what does not change with its vertices. The same content again gives the same one.
-  /// `vertices`: reference positions, where symmetry, trailing edges and wakes are found. Throws `InvalidArgument` naming the
-  /// cell or edge that is wrong, `ResourceExhausted` if an analysis would need more memory than the server gives one.
+  /// Checks a mesh and finds everything that does not depend on the positions of its vertices; identical content returns the
+  /// same configuration. `vertices` are the reference positions, where symmetry, trailing edges and wakes are found. Throws
+  /// `InvalidArgument` naming the wrong cell or edge, `ResourceExhausted` if an analysis would need more memory than the
+  /// server allows.
   Configuration create_configuration(
       View<Point> vertices, View<Cell> cells, const ConfigurationOptions& options = {}) const;
-  /// The configuration of that id. Throws `NotFound` if the server keeps it no more.
+  /// The configuration with this id. Throws `NotFound` if the server does not hold it, or no longer.
   Configuration get_configuration(const std::string& id, const CallOptions& options = {}) const;
 
  private:

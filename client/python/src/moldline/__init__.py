@@ -1,4 +1,4 @@
-"""Client of a Moldline server, which deforms surface meshes with their geometry.
+"""Client of Moldline: the mesh service, which deforms surface meshes with their geometry.
 
     client = moldline.Client("127.0.0.1:50051")
     setup = client.create_setup("examples/e175", progress=True)
@@ -8,7 +8,7 @@
 
 Vertices are float64 arrays of shape (n, 3) in metres; designs are float64 arrays of shape (number of variables,),
 each entry in its variable's unit. :mod:`moldline.aio` is the same for asyncio, :mod:`moldline.panel` the client of the panel
-method.
+service.
 """
 
 from moldline import panel

@@ -1,4 +1,4 @@
-"""Client, set-ups and sessions for asyncio: the shapes of :mod:`moldline.client`, with methods to be awaited.
+"""Client, set-ups and sessions for asyncio: the classes of :mod:`moldline.client` with methods to be awaited.
 
     async with moldline.aio.Client("127.0.0.1:50051") as client:
         setup = await client.create_setup("examples/e175")
@@ -6,28 +6,24 @@
             result = await session.deform({"wing.translation": 5.0})
             gradient = (await session.vjp(functions={"enclosed_volume": 1.0}, at=result)).design
 
-Arguments, results and exceptions are those of the methods of the same name there. A task that is cancelled cancels its
-call on the server.
+Arguments, results and exceptions are those of the methods of the same name there. Cancelling a task cancels its call on
+the server. :mod:`moldline.panel.aio` is the client of the panel service for asyncio.
 """
 
 from __future__ import annotations
 
-import asyncio
 import math
 import os
 from collections.abc import Iterable, Mapping
-from contextlib import closing
 from types import TracebackType
-from typing import Any, TypeVar
+from typing import Any
 
-import grpc.aio
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from moldline import connection, operations
+from moldline import operations
+from moldline.caller import AsyncCaller
 from moldline.check import Check
-from moldline.connection import TLS
-from moldline.errors import MoldlineError, translated
 from moldline.facts import SessionFacts, SetupFacts
 from moldline.mesh import Mesh
 from moldline.model import (
@@ -41,33 +37,15 @@ from moldline.model import (
     Tangents,
     Visibility,
 )
-from moldline.operations import Call, Operation
 from moldline.progress import Tell, told
-from moldline.retry import Attempts, Deadline, Retry
 from moldline.v1 import mesh_service_pb2 as wire
 from moldline.v1 import mesh_service_pb2_grpc
 
-T = TypeVar("T")
 
+class Client(AsyncCaller):
+    """As :class:`moldline.Client`. Create it in the event loop; `target` may be a `grpc.aio.Channel`."""
 
-class Client:
-    """As :class:`moldline.Client`. Make it where the event loop runs; a channel of your own is a `grpc.aio.Channel`."""
-
-    def __init__(
-        self,
-        target: str | grpc.aio.Channel = "127.0.0.1:50051",
-        *,
-        token: str | None = None,
-        tls: TLS | bool = False,
-        timeout: float = 600.0,
-        retry: Retry = Retry(),
-    ) -> None:
-        self._own = isinstance(target, str)
-        self._channel: grpc.aio.Channel = connection.channel(target, tls, grpc.aio)
-        self._stub: Any = mesh_service_pb2_grpc.MeshServiceStub(self._channel)
-        self._metadata = connection.metadata(token)
-        self._timeout = timeout
-        self._retry = retry
+    _STUB = mesh_service_pb2_grpc.MeshServiceStub
 
     async def create_setup(
         self,
@@ -107,57 +85,11 @@ class Client:
         """As :meth:`moldline.Client.status`."""
         return await self._run(operations.status(), timeout)
 
-    async def close(self) -> None:
-        """Closes the connection; calls under way are cancelled."""
-        if self._own:
-            await self._channel.close()
-
-    async def __aenter__(self) -> Client:
-        return self
-
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        await self.close()
-
-    async def _run(self, operation: Operation[T], timeout: float | None) -> T:
-        deadline = Deadline(self._timeout if timeout is None else timeout)
-        with closing(operation):
-            step = operation.send
-            result: Any = None
-            while True:
-                try:
-                    call = step(result)
-                except StopIteration as end:
-                    return end.value  # type: ignore[no-any-return]  # What the operation returns is a T.
-                try:
-                    step, result = operation.send, await self._perform(call, deadline)
-                except MoldlineError as error:
-                    step, result = operation.throw, error
-
-    async def _perform(self, call: Call, deadline: Deadline) -> Any:
-        attempts = Attempts(self._retry, deadline)
-        while True:
-            try:
-                with translated():
-                    return await self._attempt(call, deadline)
-            except MoldlineError as error:
-                pause = attempts.pause(error)
-            await asyncio.sleep(pause)
-
-    async def _attempt(self, call: Call, deadline: Deadline) -> Any:
-        method = getattr(self._stub, call.method)
-        answer = method(call.messages(), timeout=deadline.remaining, metadata=self._metadata)
-        if call.receiver is None:
-            return await answer
-        receive = call.receiver()
-        try:
-            async for message in answer:
-                receive(message)
-        finally:
-            # Without effect if it has ended.
-            answer.cancel()
-        return None
+    async def check(self, setup: Setup | str | os.PathLike[str], designs: int = 1, **options: Any) -> Check:
+        """As :meth:`moldline.Client.check`."""
+        if not isinstance(setup, Setup):
+            setup = await self.create_setup(setup, progress=options.get("progress", False))
+        return await setup.check(designs, **options)
 
 
 class Setup(SetupFacts):
@@ -221,7 +153,7 @@ class Session(SessionFacts):
 
     @classmethod
     async def resume(cls, client: Client, session_id: str, *, timeout: float | None = None) -> Session:
-        """The same as :meth:`Client.resume`."""
+        """Same as :meth:`Client.resume`."""
         return await client.resume(session_id, timeout=timeout)
 
     async def update(

@@ -1,4 +1,4 @@
-"""numpy arrays on the wire: little-endian bytes with element type and shape."""
+"""Conversions between numpy arrays and messages: little-endian bytes with element type and shape."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _DTYPES: dict[int, np.dtype[Any]] = {
 
 
 def from_wire(array: array_pb2.Array) -> NDArray[Any]:
-    """The array itself, read-only and without a copy: its memory is the message's."""
+    """The array, read-only and without a copy: a view of the message's memory."""
     try:
         flat: NDArray[Any] = np.frombuffer(array.data, dtype=_DTYPES[array.dtype])
         return flat.reshape(tuple(array.shape))

@@ -1,4 +1,4 @@
-"""What a check of derivatives found."""
+"""Reports of derivative checks."""
 
 from __future__ import annotations
 
@@ -27,26 +27,26 @@ class DotProduct:
 class Difference:
     """A derivative against central differences of one step."""
 
-    #: Relative to the range of the variable.
+    #: Step, relative to the range of the variable.
     step: float
-    #: `None` if one of the two designs has no mesh.
+    #: Relative error; `None` if one of the two designs has no mesh.
     error: float | None
 
 
 @dataclass(frozen=True)
 class Kink:
-    """Vertices on a crease that they cross: they have no derivative, but one to either side."""
+    """Vertices on a crease that they cross: they have two one-sided derivatives instead of one derivative."""
 
-    #: How many they are.
+    #: How many vertices.
     vertices: int
-    #: The one whose derivatives differ most.
+    #: The vertex whose one-sided derivatives differ most.
     worst_vertex: int
-    #: By how much, metres per unit of the variable.
+    #: Their difference, metres per unit of the variable.
     jump: float
-    #: Where it is, metres, and on which component.
+    #: Position of that vertex, metres, and its component.
     position: tuple[float, ...]
     component: str
-    #: Relative error of the derivative: there against the derivative to the nearer side, at all other vertices against
+    #: Relative error of the derivative: at these vertices against the nearer one-sided derivative, at all others against
     #: central differences.
     error: float
 
@@ -68,37 +68,37 @@ class CheckedDesign:
 
 @dataclass(frozen=True)
 class CheckedVariable:
-    """The errors of the derivative by one variable at one design."""
+    """The errors of the derivative with respect to one variable at one design."""
 
     #: Index into :attr:`Check.designs`.
     design: int
     variable: str
     #: `|J v|` over all vertices, metres per unit of the variable.
     size: float
-    #: Against dual numbers.
+    #: Error against dual numbers.
     dual: float
     #: The vertex that contributes most to it.
     worst_vertex: int
-    #: The same after each step of the chain, by its name, in order.
+    #: The same error after each stage of the chain, by its name, in order.
     stages: dict[str, float]
-    #: The first step that is off; `None` if none is.
+    #: The first stage whose error is too large; `None` if there is none.
     first_discrepancy: str | None
-    #: Against central differences, over steps.
+    #: Errors against central differences, over steps.
     differences: tuple[Difference, ...]
-    #: Of the scalar outputs against central differences at the best step: the largest.
+    #: Largest error of the scalar outputs against central differences at the best step.
     functions: float
-    #: Looked for where central differences do not agree at any step; `None` if there is none.
+    #: Searched for where central differences do not agree at any step; `None` if there is none.
     kink: Kink | None
 
     @property
     def best(self) -> Difference | None:
-        """The step with the least error, if any has one."""
+        """The central difference with the smallest error, if any has one."""
         known = [each for each in self.differences if each.error is not None and not math.isnan(each.error)]
         return min(known, key=lambda each: each.error or 0.0, default=None)
 
     @property
     def central_difference(self) -> float | None:
-        """The error at that step."""
+        """Its error."""
         return self.best.error if self.best else None
 
 
@@ -110,25 +110,25 @@ class Check:
     dot_product_max: float
     dual_max: float
     central_difference_max: float
-    #: Of the random designs and vectors.
+    #: Seed of the random designs and vectors.
     seed: int
     designs: tuple[CheckedDesign, ...]
-    #: One for each variable asked for, design after design.
+    #: One row for each requested variable, design after design.
     rows: tuple[CheckedVariable, ...]
-    #: What the errors are.
+    #: Definition of the errors, in words.
     definition: str
-    #: Seconds that the engine took.
+    #: Seconds in the engine.
     engine_seconds: float
-    #: Seconds that the request waited for the engine.
+    #: Seconds in the queue.
     queue_seconds: float
     _text: str
 
     def table(self) -> str:
-        """All errors for people, as `moldline check` prints them."""
+        """All errors as a table, as `moldline check` prints them."""
         return self._text
 
     def to_json(self) -> dict[str, Any]:
-        """All errors as `moldline check --json` writes them; `None` for what is not a finite number."""
+        """All errors as `moldline check --json` writes them; `None` for values that are not finite."""
         designs = [
             {
                 "design": {name: _number(value) for name, value in design.design.items()},
@@ -173,7 +173,7 @@ class Check:
 
 
 def check_from_wire(report: wire.CheckReport, variables: tuple[str, ...]) -> Check:
-    """The report of a set-up with these variables."""
+    """The report of a message, for a set-up with these variables."""
     return Check(
         dot_product_max=report.dot_product_max,
         dual_max=report.dual_max,

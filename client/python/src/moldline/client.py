@@ -1,4 +1,4 @@
-"""Client, set-ups and sessions, for code that waits. :mod:`moldline.aio` has the same for asyncio."""
+"""Client, set-ups and sessions of the mesh service, blocking. :mod:`moldline.aio` has the same for asyncio."""
 
 from __future__ import annotations
 
@@ -34,15 +34,15 @@ from moldline.v1 import mesh_service_pb2_grpc
 
 
 class Client(Caller):
-    """A connection to a server. Safe to use from several threads; close it, or use it in a `with` statement.
+    """A connection to a mesh service. Thread-safe; close it, or use it in a `with` statement.
 
-    `target`: address such as ``127.0.0.1:50051``, or a `grpc.Channel` of your own (with credentials, interceptors),
-    which is then yours to close.
-    `token`: says who you are; it goes with every call, so use it with `tls` unless the network is your own.
-    `tls`: `True` to encrypt, trusting gRPC's list of authorities; a :class:`TLS` to say more; `False` for plain text.
-    `timeout`: seconds that a call other than `create_setup` may take in all, with what is tried again; `math.inf` for no
-    limit. Every method takes one of its own.
-    `retry`: when a call that failed is tried again.
+    `target`: address such as ``127.0.0.1:50051``, or a `grpc.Channel` of your own (with credentials, interceptors), which
+    the client does not close.
+    `token`: bearer token, sent with every call; use it with `tls` unless the network is trusted.
+    `tls`: `True` for TLS with gRPC's list of authorities, a :class:`TLS` for other settings, `False` for plain text.
+    `timeout`: seconds that a call may take over all its attempts, except set-ups and checks; `math.inf` for no limit. Every
+    method takes its own.
+    `retry`: retry policy.
     """
 
     _STUB = mesh_service_pb2_grpc.MeshServiceStub
@@ -58,16 +58,16 @@ class Client(Caller):
         request_id: str | None = None,
         timeout: float = math.inf,
     ) -> Setup:
-        """Uploads and builds a set-up; the same content again gives the set-up that exists.
+        """Uploads and builds a set-up; identical content returns the existing set-up.
 
         `path`: its folder, or an archive of it (.tar, .tar.gz, .tgz, .zip).
-        `setup_file`: the file in it that describes the set-up; the server's usual names if empty.
-        `visibility`, `shared_with`: as in :meth:`Setup.share`; if `None`, private if it is new, else as it was.
+        `setup_file`: the file that describes the set-up; the server's usual names if empty.
+        `visibility`, `shared_with`: as in :meth:`Setup.share`; if `None`, private if it is new, else unchanged.
         `progress`: `True` for a progress bar, or a function that is called with each :class:`Progress`. An exception of
         the function cancels the call.
-        `request_id`: name of this request, so that a retry is recognised; made up if `None`.
+        `request_id`: name of this request, by which a retry is recognised; random if `None`.
 
-        Raises :class:`InvalidArgument` naming every field that is wrong.
+        Raises :class:`InvalidArgument` naming every wrong field.
         """
         with told(progress) as tell:
             operation = operations.create_setup(path, setup_file, request_id, visibility, shared_with, tell)
@@ -75,28 +75,28 @@ class Client(Caller):
         return Setup(self, created.setup, built=created.built)
 
     def get_setup(self, setup_id: str, *, timeout: float | None = None) -> Setup:
-        """The set-up of that id. Raises :class:`NotFound`."""
+        """The set-up with this id. Raises :class:`NotFound`."""
         return Setup(self, self._run(operations.get_setup(setup_id), timeout), built=False)
 
     def list_setups(self, *, timeout: float | None = None) -> list[SetupSummary]:
-        """The set-ups that you may use: your own, those shared with you, and public ones; in the order of their ids."""
+        """The set-ups that you may use (your own, shared and public ones), ordered by id."""
         return self._run(operations.list_setups(), timeout)
 
     def resume(self, session_id: str, *, timeout: float | None = None) -> Session:
-        """The open session of that id, whoever of your tenant opened it, on whichever server. Raises :class:`NotFound`."""
+        """The open session with this id of your tenant, on whichever server it was opened. Raises :class:`NotFound`."""
         state, description = self._run(operations.resume(session_id), timeout)
         return Session(Setup(self, description, built=False), state)
 
     def list_sessions(self, *, timeout: float | None = None) -> list[SessionState]:
-        """Your open sessions, without their designs; in the order of their ids."""
+        """Your open sessions without their designs, ordered by id."""
         return self._run(operations.list_sessions(), timeout)
 
     def status(self, *, timeout: float | None = None) -> Status:
-        """What the server does and holds: of your tenant, or of all if you are an administrator."""
+        """Load, caches and store of the server: your tenant's share, or all of it for administrators."""
         return self._run(operations.status(), timeout)
 
     def check(self, setup: Setup | str | os.PathLike[str], designs: int = 1, **options: Any) -> Check:
-        """Checks the derivatives of a set-up, or of that in a folder or an archive; see :meth:`Setup.check`."""
+        """Checks the derivatives of a set-up, or of one in a folder or an archive; see :meth:`Setup.check`."""
         if not isinstance(setup, Setup):
             setup = self.create_setup(setup, progress=options.get("progress", False))
         return setup.check(designs, **options)
@@ -134,46 +134,46 @@ class Setup(SetupFacts):
     ) -> Check:
         """Checks the derivatives: products against their transposes, dual numbers and central differences.
 
-        `designs`: at how many designs: the baseline, then random ones far from it.
+        `designs`: number of designs: the baseline, then random ones far from it.
         `design`: the only design to check at, in their place, as :meth:`Session.deform` takes it.
-        `variables`: names of variables or of groups of them, to be compared with dual numbers and central differences;
-        all if empty.
-        `seed`: of the random designs and vectors.
+        `variables`: names of variables or of groups of them whose derivatives are compared with dual numbers and central
+        differences; all if empty.
+        `seed`: seed of the random designs and vectors.
         `progress`: `True` for a progress bar, or a function that is called with each :class:`Progress`.
-        `timeout`: seconds it may take. It is minutes of work for the E175.
+        `timeout`: seconds; a check of a large set-up takes minutes.
 
-        Raises :class:`InvalidArgument` naming what is wrong, :class:`ResourceExhausted` while other checks are under way.
+        Raises :class:`InvalidArgument` naming the wrong field, :class:`ResourceExhausted` while other checks are running.
         """
         with told(progress) as tell:
             operation = operations.check(self, designs, design, variables, seed, tell)
             return self._client._run(operation, timeout)
 
     def share(self, visibility: Visibility, *, shared_with: Iterable[str] = (), timeout: float | None = None) -> None:
-        """Changes who else may use a set-up of your own.
+        """Changes who else may use a set-up that you own.
 
         `visibility`: ``private``, ``tenants`` or ``public``.
-        `shared_with`: with ``tenants``: their names.
+        `shared_with`: names of tenants, with ``tenants``.
         """
         self.access = self._client._run(operations.share_setup(self.id, visibility, shared_with), timeout)
 
     def delete(self, *, timeout: float | None = None) -> None:
-        """Gives up a set-up of your own. Sessions open on it go on; whoever else uploaded the same content keeps it."""
+        """Gives up your ownership. Open sessions continue, and other owners of the same content keep the set-up."""
         self._client._run(operations.delete_setup(self.id), timeout)
 
     def session(self, *, label: str = "", request_id: str | None = None, timeout: float | None = None) -> Session:
         """Opens a session, which lasts until it is closed: use it in a `with` statement, or close it.
 
-        `label`: for people.
+        `label`: descriptive.
         `request_id`: as in :meth:`Client.create_setup`.
         """
         return Session(self, self._client._run(operations.open_session(self.id, label, request_id), timeout))
 
 
 class Session(SessionFacts):
-    """Work on one set-up, apart from all other sessions.
+    """A session: work on one set-up, isolated from all other sessions.
 
-    The server keeps it, with the design that was stored last, over restarts and until it is closed: an optimizer stores
-    where it has got to (:meth:`update`), and goes on from there (:meth:`resume`) when it was interrupted itself.
+    The server keeps it with the design stored last, across restarts and until it is closed: an optimizer stores its
+    accepted designs (:meth:`update`), and continues from the last one after an interruption (:meth:`resume`).
     """
 
     def __init__(self, setup: Setup, state: SessionState) -> None:
@@ -183,7 +183,7 @@ class Session(SessionFacts):
 
     @classmethod
     def resume(cls, client: Client, session_id: str, *, timeout: float | None = None) -> Session:
-        """The same as :meth:`Client.resume`."""
+        """Same as :meth:`Client.resume`."""
         return client.resume(session_id, timeout=timeout)
 
     def update(
@@ -194,9 +194,9 @@ class Session(SessionFacts):
         label: str | None = None,
         timeout: float | None = None,
     ) -> None:
-        """Stores the session's design, label or both; what is `None` stays as it was. When it returns, it is durable.
+        """Stores the session's design, label or both, durably; `None` leaves them unchanged.
 
-        Raises :class:`Aborted` if the session has been updated elsewhere since: :meth:`refresh` reads what is there now.
+        Raises :class:`Aborted` if the session has been updated elsewhere since: :meth:`refresh` reads the current state.
         """
         operation = operations.update_session(self.state, design, control_points, label)
         self.state = self.setup._client._run(operation, timeout)
@@ -213,16 +213,15 @@ class Session(SessionFacts):
         cell_quality: bool = False,
         timeout: float | None = None,
     ) -> Deformation:
-        """The mesh at a design. A pure function: the same design gives the same bytes, and a retry is safe.
+        """The mesh at a design. A pure function: the same design gives the same bytes.
 
-        `design`: values by name, the others staying at their baseline; or float64, (number of variables), every
-        entry in its variable's unit; `None` for the baseline.
-        `control_points`: by component name, float64, (number of its control points, 3), metres: geometry from
-        elsewhere, in place of what the design makes of the component.
-        `cell_quality`: whether the measures of every cell are wanted too.
+        `design`: values by name, all others at their baseline; or float64, (number of variables), every entry in its
+        variable's unit; `None` for the baseline.
+        `control_points`: by component name, float64, (number of its control points, 3), metres: external control points
+        that replace the component's own.
+        `cell_quality`: whether to return the quality measures of every cell.
 
-        Raises :class:`InvalidArgument` naming the entry that is wrong, :class:`FailedPrecondition` if the mesh cannot
-        follow.
+        Raises :class:`InvalidArgument` naming the wrong entry, :class:`FailedPrecondition` if the mesh cannot follow.
         """
         operation = operations.deform(self.setup, self.id, design, control_points, cell_quality)
         return self.setup._client._run(operation, timeout)
@@ -235,17 +234,17 @@ class Session(SessionFacts):
         at: At = None,
         timeout: float | None = None,
     ) -> Tangents:
-        """How the outputs change along directions of the inputs: `J v`, exactly.
+        """Jacobian-vector products `J v`, exactly: changes of the outputs along directions of the inputs.
 
         `directions`: of the design variables, float64, (k, number of variables) or (number of variables,), every entry in
         its variable's unit; `None` for zero.
         `control_points`: of the control points of some components, by name, float64, (k, number of its control points, 3)
-        or without the first axis, metres, on top of what `directions` does to them. Where `at` gives a component's
-        control points, the design does not move that component.
+        or without the first axis, metres, in addition to the effect of `directions`. The design does not move a component
+        whose control points `at` gives.
         `at`: see :data:`At`.
 
-        Raises :class:`InvalidArgument` naming the entry that is wrong, :class:`NotFound` for a bare id of a linearisation
-        that the server does not hold any more.
+        Raises :class:`InvalidArgument` naming the wrong entry, :class:`NotFound` for a bare id of a linearisation that the
+        server no longer holds.
         """
         return self.setup._client._run(operations.jvp(self.setup, self.id, directions, control_points, at), timeout)
 
@@ -259,15 +258,17 @@ class Session(SessionFacts):
         control_points: Iterable[str] = (),
         timeout: float | None = None,
     ) -> Gradients:
-        """Gradients of weighted sums of the outputs by the inputs: `J^T w`, exactly. One seed costs as much as k in part.
+        """Vector-Jacobian products `J^T w`, exactly: gradients of weighted sums of the outputs with respect to the inputs.
 
-        `vertices`: weights of the vertices' coordinates, float64, (k, n, 3) or (n, 3), such as the derivative of an
-        objective by them, per metre; `None` for zero.
-        `functions`: weights of the functions, by name, each a number or float64, (k,), those not named being zero; or
-        float64, (k, number of functions) or (number of functions,), in the order of :attr:`Setup.functions`.
+        Several sums share part of the work.
+
+        `vertices`: weights of the vertices' coordinates, float64, (k, n, 3) or (n, 3), such as the gradient of an objective
+        with respect to them, per metre; `None` for zero.
+        `functions`: weights of the functions, by name, each a number or float64, (k,), all others zero; or float64,
+        (k, number of functions) or (number of functions,), in the order of :attr:`Setup.functions`.
         `at`: see :data:`At`.
-        `design`: whether gradients by the design variables are wanted.
-        `control_points`: components by whose control points gradients are wanted too.
+        `design`: whether to take gradients with respect to the design variables.
+        `control_points`: components whose control points to take gradients with respect to.
 
         Raises as :meth:`jvp`.
         """
@@ -275,7 +276,9 @@ class Session(SessionFacts):
         return self.setup._client._run(operation, timeout)
 
     def jacobian(self, *, at: At = None, progress: bool | Tell = False, timeout: float | None = None) -> Jacobian:
-        """Derivatives of all outputs by all design variables, exactly; received in blocks into one array.
+        """The Jacobian, exactly: derivatives of all outputs with respect to all design variables.
+
+        It is received in blocks into one array.
 
         `at`: see :data:`At`.
         `progress`: as in :meth:`Client.create_setup`.

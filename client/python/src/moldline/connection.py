@@ -1,4 +1,4 @@
-"""What a connection to a server is made from."""
+"""Channels and metadata of a connection."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ import grpc
 _OPTIONS = [
     ("grpc.max_receive_message_length", 512 << 20),
     ("grpc.max_send_message_length", 512 << 20),
-    # Two clients in one process are two connections.
+    # Clients of one process do not share connections.
     ("grpc.use_local_subchannel_pool", 1),
-    # A server that comes back is found at once, not minutes later.
+    # Reconnects to a restarted server within seconds instead of minutes.
     ("grpc.initial_reconnect_backoff_ms", 100),
     ("grpc.max_reconnect_backoff_ms", 2000),
-    # A server that has gone without a word is noticed while a long call waits for it.
+    # Detects a server that has vanished while a long call waits for it.
     ("grpc.keepalive_time_ms", 60_000),
 ]
 
 
 @dataclass(frozen=True)
 class TLS:
-    """How a connection is encrypted; all files are PEM."""
+    """TLS settings of a connection; all files are PEM."""
 
-    #: Certificates of the authorities that are trusted; gRPC's own list if `None`.
+    #: Certificates of the trusted authorities; gRPC's own list if `None`.
     authorities: str | os.PathLike[str] | None = None
-    #: The client's own certificate and private key, where the server asks for one (mTLS).
+    #: The client's own certificate and private key, for servers that require one (mTLS).
     certificate: str | os.PathLike[str] | None = None
     key: str | os.PathLike[str] | None = None
-    #: The name that the server's certificate has to have; that of the address if `None`.
+    #: Server name that the certificate must carry; that of the address if `None`.
     server_name: str | None = None
 
     def credentials(self) -> grpc.ChannelCredentials:
-        """With the content of the files."""
+        """gRPC credentials from the content of the files."""
         if (self.certificate is None) != (self.key is None):
             raise ValueError("a certificate needs its key, and a key its certificate")
         files = (self.authorities, self.key, self.certificate)
@@ -43,10 +43,10 @@ class TLS:
 
 
 def channel(target: Any, tls: TLS | bool, transport: Any) -> Any:
-    """To the address `target`, by `grpc` or `grpc.aio`; or `target` itself if it is a channel."""
+    """A channel to the address `target`, made by `grpc` or `grpc.aio`; or `target` itself if it is a channel."""
     if not isinstance(target, str):
         if tls:
-            raise ValueError("a channel of your own has credentials of its own: leave out tls")
+            raise ValueError("the given channel has its own credentials: leave out tls")
         return target
     if not tls:
         return transport.insecure_channel(target, options=_OPTIONS)
@@ -56,5 +56,5 @@ def channel(target: Any, tls: TLS | bool, transport: Any) -> Any:
 
 
 def metadata(token: str | None) -> tuple[tuple[str, str], ...]:
-    """What goes with every call."""
+    """Metadata of every call."""
     return () if token is None else (("authorization", f"Bearer {token}"),)

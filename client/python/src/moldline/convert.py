@@ -1,4 +1,4 @@
-"""Between wire messages and the data of :mod:`moldline.model`."""
+"""Conversions between messages of the protocol and :mod:`moldline.model`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,6 @@ from moldline.model import (
     DesignPoint,
     Function,
     Linearisation,
-    Progress,
     SessionState,
     SetupAccess,
     SetupSummary,
@@ -33,11 +32,6 @@ _VISIBILITIES: dict[Visibility, wire.Visibility] = {
     "tenants": wire.VISIBILITY_TENANTS,
     "public": wire.VISIBILITY_PUBLIC,
 }
-
-
-def progress(message: wire.Progress) -> Progress:
-    """How far long work has come."""
-    return Progress(message.stage, message.fraction, message.message)
 
 
 def access(message: wire.SetupAccess) -> SetupAccess:
@@ -106,7 +100,7 @@ def _time(seconds: float) -> datetime:
 
 
 def copied(design: Mapping[str, float] | ArrayLike | None, points: Mapping[str, ArrayLike] | None) -> DesignPoint:
-    """The design with arrays of its own, so that later changes of the caller's do not reach it."""
+    """The design with copies of its arrays, which later changes by the caller do not affect."""
     if isinstance(design, Mapping):
         design = {name: float(value) for name, value in design.items()}
     elif design is not None:

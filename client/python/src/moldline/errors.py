@@ -17,59 +17,59 @@ class FieldViolation:
 
     #: Path of the field, such as ``design[3]``.
     field: str
-    #: What is wrong with it: index, value, limit and the way out.
+    #: The fault: index, value, limit and the remedy.
     description: str
 
 
 class MoldlineError(Exception):
-    """A request failed."""
+    """Failure of a request."""
 
     def __init__(
         self, message: str, violations: tuple[FieldViolation, ...] = (), retry_after: float | None = None
     ) -> None:
         super().__init__(message)
-        #: What is wrong, in one sentence.
+        #: The failure in one sentence.
         self.message = message
-        #: The faults of the request, if it is the request's fault.
+        #: Faults of the request's fields, if any.
         self.violations = violations
-        #: Seconds after which trying again may help, if it may.
+        #: Seconds after which a retry may succeed, if any.
         self.retry_after = retry_after
 
 
 class InvalidArgument(MoldlineError, ValueError):
-    """The request is wrong whatever the state of the server."""
+    """The request is invalid, whatever the state of the server."""
 
 
 class NotFound(MoldlineError, LookupError):
-    """There is no set-up or session of that id that you may see, or no linearisation any more for a bare id."""
+    """The caller can see nothing with this id, or the server no longer holds it."""
 
 
 class AlreadyExists(MoldlineError):
-    """The request id named a request with other content before."""
+    """An earlier request with other content had this request id."""
 
 
 class Aborted(MoldlineError):
-    """Somebody else was faster: the session has another generation than was expected. Read it again."""
+    """A concurrent update won: the session has a generation other than expected. Read it again."""
 
 
 class Unauthenticated(MoldlineError, PermissionError):
-    """The server does not know who this is: the token is missing, unknown or has expired."""
+    """The caller is not authenticated: the token is missing, unknown or expired."""
 
 
 class PermissionDenied(MoldlineError, PermissionError):
-    """The server knows who this is, and that this is not theirs to do."""
+    """The caller is authenticated, but lacks the permission."""
 
 
 class FailedPrecondition(MoldlineError):
-    """The design is valid, but the mesh cannot follow it: a seam is lost, or a projection does not converge."""
+    """The input is valid, but the method fails on it, such as a mesh that loses a seam or a wake that cuts the body."""
 
 
 class ResourceExhausted(MoldlineError):
-    """The server is full, or a quota is; where trying again may help, :attr:`retry_after` says when."""
+    """The server or a quota is full; :attr:`retry_after` is set if a retry may succeed."""
 
 
 class OutOfRange(MoldlineError):
-    """A message is larger than the server or the client accepts."""
+    """A message exceeds the size limit of server or client."""
 
 
 class Cancelled(MoldlineError):
@@ -77,15 +77,15 @@ class Cancelled(MoldlineError):
 
 
 class DeadlineExceeded(MoldlineError, TimeoutError):
-    """The call took longer than its timeout."""
+    """The call exceeded its timeout."""
 
 
 class Unavailable(MoldlineError, ConnectionError):
-    """The server cannot be reached, or is about to stop."""
+    """The server cannot be reached, or is stopping."""
 
 
 class InternalError(MoldlineError):
-    """A fault of the server, or an answer that cannot be understood."""
+    """A fault of the server, or a malformed answer."""
 
 
 _CLASSES: dict[grpc.StatusCode, type[MoldlineError]] = {
@@ -121,7 +121,7 @@ def from_rpc(error: grpc.RpcError) -> MoldlineError:
 
 @contextmanager
 def translated() -> Iterator[None]:
-    """Turns a failed call inside of it into an exception of this module."""
+    """Turns the error of a failed call into an exception of this module."""
     try:
         yield
     except grpc.RpcError as error:

@@ -1,4 +1,4 @@
-"""What is known of set-ups and sessions without asking the server again."""
+"""Descriptions of set-ups and sessions, known without another call."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from moldline.v1 import mesh_service_pb2 as wire
 
 
 class SetupFacts:
-    """A set-up as it was described."""
+    """Description of a set-up."""
 
     def __init__(self, description: wire.SetupDescription, *, built: bool) -> None:
         #: Hash of its content.
         self.id: str = description.setup_id
-        #: Whether it was new to the caller when the call that returned this created it.
+        #: Whether the call that returned this created the set-up for the caller.
         self.built = built
-        #: The title its author gave it.
+        #: Title given by its author.
         self.name: str = description.name
         #: Who may use it.
         self.access: SetupAccess = convert.access(description.access)
-        #: What was found, as text and as parsed JSON.
+        #: Report of the build, as text and as parsed JSON.
         self.report_text: str = description.report_text
         self.report: dict[str, Any] = json.loads(description.report_json)
-        #: In the order of a design's entries.
+        #: Design variables, in the order of a design's entries.
         self.variables: tuple[Variable, ...] = tuple(
             Variable(v.name, v.unit, v.baseline, v.lower, v.upper) for v in description.variables
         )
@@ -38,7 +38,7 @@ class SetupFacts:
         self.groups: dict[str, VariableGroup] = {group.name: _group(group) for group in description.groups}
         #: Names of the components.
         self.components: tuple[str, ...] = tuple(description.components)
-        #: How many control points each component has.
+        #: Number of control points of each component.
         self.control_point_counts: dict[str, int] = dict(
             zip(self.components, description.control_point_counts, strict=True)
         )
@@ -86,25 +86,25 @@ def _group(group: wire.VariableGroup) -> VariableGroup:
 
 
 class SessionFacts:
-    """A session as it was when it was last opened, resumed, updated or refreshed here."""
+    """State of a session, as of the last opening, resumption, update or refresh here."""
 
     def __init__(self, state: SessionState) -> None:
-        #: All of it.
+        #: The stored state.
         self.state = state
 
     @property
     def id(self) -> str:
-        """Name of the session on the server."""
+        """Id of the session."""
         return self.state.id
 
     @property
     def label(self) -> str:
-        """For people."""
+        """Descriptive label."""
         return self.state.label
 
     @property
     def generation(self) -> int:
-        """How often it has been stored."""
+        """Number of updates."""
         return self.state.generation
 
     @property
@@ -114,5 +114,5 @@ class SessionFacts:
 
     @property
     def updated(self) -> datetime:
-        """When it was stored last, UTC."""
+        """Time of the last update, UTC."""
         return self.state.updated

@@ -1,4 +1,4 @@
-"""Surface meshes, and writing them for ParaView."""
+"""Surface meshes, and their VTK files."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def write_cells(
     point_data: Mapping[str, ArrayLike] | None = None,
     cell_data: Mapping[str, ArrayLike] | None = None,
 ) -> None:
-    """The same for vertices, float64, (n, 3), metres, and cells, uint32, (m, 4), as :attr:`Mesh.cells`."""
+    """Writes a mesh of vertices, float64, (n, 3), metres, and cells, uint32, (m, 4), as :attr:`Mesh.cells`."""
     points = np.asarray(vertices, dtype="<f8")
     cells = np.asarray(cells, dtype=np.uint32)
     triangles = cells[:, 3] == NO_VERTEX
@@ -140,5 +140,5 @@ def _element(tag: str, children: list[str]) -> str:
 def _of_length(name: str, data: ArrayLike, length: int) -> NDArray[Any]:
     array = np.asarray(data)
     if array.shape[:1] != (length,):
-        raise ValueError(f"{name} has shape {array.shape}, its first extent has to be {length}")
+        raise ValueError(f"{name} has shape {array.shape}, its first extent must be {length}")
     return array

@@ -1,4 +1,4 @@
-"""What clients ask with and are answered: plain data, the same for the client that waits and for asyncio."""
+"""Data model of the mesh service: arguments and results of both clients, blocking and asyncio."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from moldline.quality import QualityReport
 
 @dataclass(frozen=True)
 class Progress:
-    """How far something long has come."""
+    """Progress of a long call."""
 
-    #: Of a set-up: `receive`, `read`, `queue`, and then the engine's stages. `jacobian` of a Jacobian.
+    #: Name of the stage: of a set-up, `receive`, `read`, `queue`, then the engine's stages; of a Jacobian, `jacobian`.
     stage: str
-    #: Share of the stage, 0 to 1.
+    #: Fraction of the stage that is done, 0 to 1.
     fraction: float
-    #: For people.
+    #: Description for display.
     message: str
 
 
@@ -31,7 +31,7 @@ class Variable:
 
     #: Such as ``wing.twist[3]``.
     name: str
-    #: Of the three numbers and of its entry in a design, such as ``m`` or ``deg``.
+    #: Unit of its values and bounds, such as ``m`` or ``deg``.
     unit: str
     baseline: float
     #: Bounds; may be infinite.
@@ -44,7 +44,7 @@ class VariableGroup:
     """Variables that were declared together."""
 
     name: str
-    #: Their entries of a design.
+    #: Their entries in a design.
     entries: slice
     #: Empty for a scalar.
     shape: tuple[int, ...]
@@ -58,23 +58,23 @@ class Function:
     name: str
     #: Such as ``m^2``.
     unit: str
-    #: For the reference mesh.
+    #: Value for the reference mesh.
     value: float
 
 
-#: Who may use a set-up besides its owner: nobody, tenants that are named, or every tenant of the server.
+#: Who may use a set-up besides its owner: nobody, named tenants, or every tenant of the server.
 Visibility = Literal["private", "tenants", "public"]
 
 
 @dataclass(frozen=True)
 class SetupAccess:
-    """What a set-up is to the caller."""
+    """Access of the caller, and of others, to a set-up."""
 
     #: Whether the caller has uploaded it.
     owned: bool
-    #: To the owner: what was chosen. To others: `tenants` or `public`, whichever lets them use it.
+    #: For the owner, the chosen visibility; for others, the one that gives them access: `tenants` or `public`.
     visibility: Visibility
-    #: Tenants; to the owner only.
+    #: Names of tenants; shown to the owner only.
     shared_with: tuple[str, ...]
 
 
@@ -87,14 +87,14 @@ class SetupSummary:
     vertex_count: int
     cell_count: int
     variable_count: int
-    #: When it was first uploaded, UTC.
+    #: Time of the first upload, UTC.
     created: datetime
     access: SetupAccess
 
 
 @dataclass(frozen=True)
 class DesignPoint:
-    """A design as it was asked for: the arguments of :meth:`Session.deform`."""
+    """A requested design: the arguments of :meth:`Session.deform`."""
 
     design: Mapping[str, float] | ArrayLike | None = None
     control_points: Mapping[str, ArrayLike] | None = None
@@ -102,15 +102,15 @@ class DesignPoint:
 
 @dataclass(frozen=True)
 class SessionState:
-    """A session as the server has stored it."""
+    """Stored state of a session."""
 
     id: str
     setup_id: str
     #: Grows by one with each update.
     generation: int
-    #: As stored last: all variables in order, and the control points that were given. `None` in lists.
+    #: The design stored last: all variables in order, and external control points. `None` in lists.
     design: DesignPoint | None
-    #: For people.
+    #: Descriptive label.
     label: str
     #: UTC.
     created: datetime
@@ -119,11 +119,11 @@ class SessionState:
 
 @dataclass(frozen=True)
 class Linearisation:
-    """Where a derivative is taken: what the server keeps of a deformation, and the design to make it again."""
+    """Point of linearisation: the id of a linearisation on the server, and the design to recompute it from."""
 
-    #: The same for the same set-up and design, on any server.
+    #: Determined by set-up and design: the same on every server.
     id: str
-    #: Copies of the arrays that were asked for.
+    #: The requested design, with copies of its arrays.
     point: DesignPoint
 
 
@@ -131,38 +131,37 @@ class Linearisation:
 class Deformation:
     """A deformed mesh."""
 
-    #: float64, (n, 3), metres, in the set-up mesh's order; read-only, its memory is the message's.
+    #: float64, (n, 3), metres, in the order of the set-up's mesh; a read-only view of the message's memory.
     vertices: NDArray[np.float64]
     #: The scalar outputs by name, each in its unit (:attr:`Setup.functions`).
     functions: dict[str, float]
-    #: For derivatives here: the `at` of :meth:`Session.jvp`, :meth:`Session.vjp` and :meth:`Session.jacobian`.
+    #: For derivatives at this design: the `at` of :meth:`Session.jvp`, :meth:`Session.vjp` and :meth:`Session.jacobian`.
     linearisation: Linearisation
-    #: Measures of the deformed mesh.
+    #: Quality of the deformed mesh.
     quality: QualityReport
-    #: Measures of every cell, float64, (m,), by name (`aspect_ratio`, `edge_ratio`, `scaled_jacobian`, `skew`); only if
-    #: asked for.
+    #: Quality of every cell, float64, (m,), by name (`aspect_ratio`, `edge_ratio`, `scaled_jacobian`, `skew`), if requested.
     cell_quality: dict[str, NDArray[np.float64]] | None
     #: Largest distance of a seam vertex from one of its components before the smooth projection, metres.
     seam_residual: float
     #: Largest distance of a protected or stationary vertex from a component that it lies on, metres.
     held_residual: float
-    #: Largest |Phi| of an active vertex at the end, metres; 0 for a sharp outer mold line.
+    #: Largest final |Phi| of an active vertex, metres; 0 for a sharp outer mold line.
     projection_residual: float
-    #: Most projection steps that a vertex took.
+    #: Largest number of projection steps of a vertex.
     projection_steps: int
-    #: Seconds that the engine took.
+    #: Seconds in the engine.
     engine_seconds: float
-    #: Seconds that the request waited for the engine.
+    #: Seconds in the queue.
     queue_seconds: float
 
     @property
     def linearisation_id(self) -> str:
-        """Names this set-up and design in requests for derivatives."""
+        """Id of the linearisation, for requests for derivatives."""
         return self.linearisation.id
 
 
-#: Where a derivative is taken: what `deform` returned, its `linearisation` or the latter's id, a design as `deform` takes
-#: it, or a :class:`DesignPoint`; `None` for the baseline.
+#: Point of linearisation: the result of `deform`, its `linearisation` or the latter's id, a design as `deform` takes it, or
+#: a :class:`DesignPoint`; `None` for the baseline.
 At = Deformation | Linearisation | DesignPoint | str | Mapping[str, float] | ArrayLike | None
 
 
@@ -174,9 +173,9 @@ class Tangents:
     vertices: NDArray[np.float64]
     #: By function: float64, (k,), in its unit.
     functions: dict[str, NDArray[np.float64]]
-    #: Seconds that the engine took.
+    #: Seconds in the engine.
     engine_seconds: float
-    #: Seconds that the requests waited for the engine.
+    #: Seconds in the queue.
     queue_seconds: float
 
 
@@ -184,39 +183,39 @@ class Tangents:
 class Gradients:
     """Gradients of k weighted sums of the outputs; without the first axis for a single one."""
 
-    #: float64, (k, number of variables), per its variable's unit; `None` if not asked for.
+    #: float64, (k, number of variables), per unit of the variable; `None` if not requested.
     design: NDArray[np.float64] | None
-    #: By component, if asked for: float64, (k, number of its control points, 3), per metre.
+    #: By requested component: float64, (k, number of its control points, 3), per metre.
     control_points: dict[str, NDArray[np.float64]]
-    #: Seconds that the engine took.
+    #: Seconds in the engine.
     engine_seconds: float
-    #: Seconds that the requests waited for the engine.
+    #: Seconds in the queue.
     queue_seconds: float
 
 
 @dataclass(frozen=True)
 class Jacobian:
-    """Derivatives of all outputs by all design variables."""
+    """Derivatives of all outputs with respect to all design variables."""
 
-    #: float64, (number of variables, n, 3), metres per the variable's unit.
+    #: float64, (number of variables, n, 3), metres per unit of the variable.
     vertices: NDArray[np.float64]
-    #: By function: float64, (number of variables,), its unit per the variable's.
+    #: By function: float64, (number of variables,), its unit per unit of the variable.
     functions: dict[str, NDArray[np.float64]]
-    #: Seconds that the engine took.
+    #: Seconds in the engine.
     engine_seconds: float
-    #: Seconds that the request waited for the engine.
+    #: Seconds in the queue.
     queue_seconds: float
 
 
 @dataclass(frozen=True)
 class CacheStatus:
-    """Use of one of the server's caches."""
+    """Usage of a cache of the server."""
 
     entries: int
     bytes: int
-    #: The server's, for all tenants.
+    #: Budget of all tenants together.
     budget_bytes: int
-    #: Since the server started; for administrators, others see 0.
+    #: Since the start of the server; 0 unless the caller is an administrator.
     hits: int
     misses: int
     evictions: int
@@ -224,33 +223,33 @@ class CacheStatus:
 
 @dataclass(frozen=True)
 class Work:
-    """A request that computes, or waits for it."""
+    """A request that is computing or queued."""
 
     #: Such as `build`, `deform`, `jvp`, `vjp`, `jacobian`.
     kind: str
     tenant: str
-    #: Empty where there is none (yet).
+    #: Empty if there is none (yet).
     setup_id: str
     session_id: str
-    #: Whether it computes; otherwise it waits.
+    #: Whether it is computing; otherwise it is queued.
     running: bool
-    #: Seconds since it came, and since it computes.
+    #: Seconds since its arrival, and since its computation began.
     age_seconds: float
     running_seconds: float
-    #: How far it has come, where that is known.
+    #: Current stage, and fraction of it that is done, where known.
     stage: str
     fraction: float
 
 
 @dataclass(frozen=True)
 class Status:
-    """What the server does and holds."""
+    """Load, caches and store of a server."""
 
     version: str
     uptime_seconds: float
-    #: Whether the figures are those of all tenants (for administrators), or of the caller's only.
+    #: Whether the figures cover all tenants (for administrators), or the caller's only.
     all_tenants: bool
-    #: Requests that compute and that wait for it, and how many may.
+    #: Requests that are computing and queued, and the limits of both.
     running: int
     queued: int
     running_limit: int
@@ -264,5 +263,5 @@ class Status:
     stored_bytes: int
     setup_cache: CacheStatus
     linearisation_cache: CacheStatus
-    #: Longest first.
+    #: Requests that are computing or queued, oldest first.
     work: tuple[Work, ...]

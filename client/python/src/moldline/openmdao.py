@@ -1,4 +1,4 @@
-"""OpenMDAO components, with exact derivatives: design variables to vertices, and vertices to coefficients of the flow.
+"""OpenMDAO components with exact derivatives: from design variables to vertices, and from vertices to the flow.
 
     pip install moldline[openmdao]
 
@@ -31,17 +31,17 @@ _UNITS = {"1": None, "percent": "percent", "m^2": "m**2", "m^3": "m**3", "ft^2":
 
 
 def om_name(name: str) -> str:
-    """The name that OpenMDAO takes for one of Moldline's: dots become colons, what it refuses an underscore."""
+    """OpenMDAO's form of a name: dots become colons, and characters that OpenMDAO rejects underscores."""
     return re.sub(r"[^A-Za-z0-9_:]", "_", name.replace(".", ":"))
 
 
 class _Mesh(om.ExplicitComponent):  # type: ignore[misc]  # OpenMDAO has no types.
-    """What both components have: inputs, outputs and options."""
+    """Inputs, outputs and options of both mesh components."""
 
     def initialize(self) -> None:
         self.options.declare("session", types=Session, recordable=False, desc="an open session")
         self.options.declare("control_points", default=(), desc="components whose control points are inputs")
-        self.options.declare("functions", default=None, desc="scalar outputs that are wanted; all if None")
+        self.options.declare("functions", default=None, desc="names of the scalar outputs; all if None")
 
     def setup(self) -> None:
         session: Session = self.options["session"]
@@ -94,7 +94,7 @@ class _Mesh(om.ExplicitComponent):  # type: ignore[misc]  # OpenMDAO has no type
         return DesignPoint(design, points or None)
 
     def _at(self, inputs: Any) -> Deformation | DesignPoint:
-        """The last deformation, if it is that of `inputs`: the server then need not make it again."""
+        """The last deformation if it is that of `inputs`, which saves the server another one."""
         point = self._point(inputs)
         if self._last is not None and _same(self._last.linearisation.point, point):
             return self._last
@@ -102,20 +102,20 @@ class _Mesh(om.ExplicitComponent):  # type: ignore[misc]  # OpenMDAO has no type
 
 
 class DeformedMesh(_Mesh):
-    """The deformed mesh of a session; derivatives are products, as OpenMDAO asks for them.
+    """The deformed mesh of a session, matrix-free: derivatives are products.
 
-    An adjoint costs no more for many variables than for few.
+    The cost of an adjoint does not depend on the number of variables.
 
     Inputs: each declared group of design variables, by its name with colons, in its shape and unit; and, for components
-    named in the option `control_points`, their control points as ``NAME:control_points``, (count, 3), metres, in place of
-    what the design makes of them.
+    named in the option `control_points`, their control points as ``NAME:control_points``, (count, 3), metres, which replace
+    those of the design.
 
     Outputs: `vertices`, (n, 3), metres; and the scalar outputs, each in its unit, by name with colons.
 
     Options:
-    `session`: an open :class:`moldline.Session`, which is the caller's to close.
+    `session`: an open :class:`moldline.Session`, which the component does not close.
     `control_points`: names of components whose control points are inputs.
-    `functions`: names of the scalar outputs that are wanted; all if `None`.
+    `functions`: names of the scalar outputs; all if `None`.
     """
 
     def compute_jacvec_product(self, inputs: Any, d_inputs: Any, d_outputs: Any, mode: str) -> None:
@@ -162,9 +162,9 @@ class DeformedMesh(_Mesh):
 
 
 class DenseDeformedMesh(_Mesh):
-    """As :class:`DeformedMesh`, with derivatives as dense arrays, declared to OpenMDAO.
+    """As :class:`DeformedMesh`, with dense partial derivatives.
 
-    Good for few variables and many products. Derivatives by control points are large: three columns for each.
+    Suited to few variables and many products. Partials with respect to control points have three columns for each.
     """
 
     def setup_partials(self) -> None:
@@ -189,28 +189,28 @@ class DenseDeformedMesh(_Mesh):
 
 
 class PanelComponent(om.ExplicitComponent):  # type: ignore[misc]
-    """The flow over a mesh by the panel method; derivatives are products, as OpenMDAO asks for them.
+    """The flow over a mesh by the panel method, matrix-free: derivatives are products.
 
     Inputs: `vertices`, (n, 3), metres; `alpha`, rad; `mach`.
 
     Outputs: those of the option `coefficients`, such as `lift` (:data:`moldline.panel.COEFFICIENTS`); `section_loads`, m,
-    and `cp` of every cell if wanted.
+    and `cp` of every cell, optionally.
 
     Options:
     `configuration`: a :class:`moldline.panel.Configuration`.
-    `reference`: a :class:`moldline.panel.Reference`, which does not change.
-    `vertices`, `alpha`, `mach`: values to begin with; `vertices` are needed.
-    `coefficients`: names of the scalar outputs that are wanted.
+    `reference`: a :class:`moldline.panel.Reference`, which stays constant.
+    `vertices`, `alpha`, `mach`: initial values; `vertices` are required.
+    `coefficients`: names of the scalar outputs.
     `section_loads`, `cp`: whether they are outputs.
     """
 
     def initialize(self) -> None:
-        self.options.declare("configuration", types=Configuration, recordable=False, desc="a mesh made ready")
-        self.options.declare("reference", types=Reference, recordable=False, desc="what coefficients refer to")
-        self.options.declare("vertices", recordable=False, desc="positions to begin with")
+        self.options.declare("configuration", types=Configuration, recordable=False, desc="a prepared mesh")
+        self.options.declare("reference", types=Reference, recordable=False, desc="reference values")
+        self.options.declare("vertices", recordable=False, desc="initial positions")
         self.options.declare("alpha", default=0.0, desc="rad")
         self.options.declare("mach", default=0.0)
-        self.options.declare("coefficients", default=COEFFICIENTS, desc="scalar outputs that are wanted")
+        self.options.declare("coefficients", default=COEFFICIENTS, desc="names of the scalar outputs")
         self.options.declare("section_loads", default=False, types=bool)
         self.options.declare("cp", default=False, types=bool)
 
@@ -250,7 +250,7 @@ class PanelComponent(om.ExplicitComponent):  # type: ignore[misc]
         )
 
     def _at(self, inputs: Any) -> Analysis:
-        """The last analysis, or that of `inputs` if it is another's."""
+        """The last analysis if it is that of `inputs`, or a new one."""
         if self.analysis is not None:
             point = self.analysis.point
             scalars = (point.mach, point.alpha) == (inputs["mach"].item(), inputs["alpha"].item())

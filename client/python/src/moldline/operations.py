@@ -1,23 +1,18 @@
-"""What clients do, apart from waiting.
-
-An operation is a generator: it yields calls, is sent their answers (or their errors are thrown into it), and returns its
-result. :mod:`moldline.client` runs operations by blocking, :mod:`moldline.aio` by awaiting; there is nothing else in
-which they differ.
-"""
+"""Operations of the mesh service: generators of calls, which :mod:`moldline.client` runs by blocking and
+:mod:`moldline.aio` by awaiting."""
 
 from __future__ import annotations
 
 import os
 import uuid
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
-from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from moldline import arrays, convert, upload
+from moldline.calls import Blocks, Call, Operation, seconds, streamed
 from moldline.check import Check, check_from_wire
 from moldline.errors import InternalError, NotFound
 from moldline.facts import SetupFacts
@@ -40,29 +35,6 @@ from moldline.model import (
 from moldline.progress import Tell
 from moldline.v1 import mesh_service_pb2 as wire
 
-#: Vectors and bytes of one request, within the server's usual limits; larger blocks go in several requests.
-_VECTORS = 64
-_REQUEST = 32 << 20
-
-
-@dataclass(frozen=True)
-class Call:
-    """One call of an RPC, which may take several attempts."""
-
-    method: str
-    #: The request; or makes the messages of an upload, anew for each attempt.
-    request: Any | Callable[[], Iterator[Any]]
-    #: Makes what takes the answer's messages one by one, anew for each attempt; `None` where the answer is one message.
-    receiver: Callable[[], Callable[[Any], None]] | None = None
-
-    def messages(self) -> Any:
-        """What to send."""
-        return self.request() if callable(self.request) else self.request
-
-
-T = TypeVar("T")
-Operation = Generator[Call, Any, T]
-
 
 def create_setup(
     path: str | os.PathLike[str],
@@ -72,26 +44,18 @@ def create_setup(
     shared_with: Iterable[str],
     tell: Tell,
 ) -> Operation[wire.CreatedSetup]:
-    """Uploads and builds."""
+    """Uploads and builds a set-up."""
     header = wire.SetupHeader(request_id=_request_id(request_id), setup_file=setup_file)
     convert.write_sharing(visibility, shared_with, header)
     files = upload.files(path, header)
-    created: list[wire.CreatedSetup] = []
-
-    def receive(event: wire.CreateSetupResponse) -> None:
-        if event.HasField("created"):
-            created[:] = [event.created]
-        else:
-            tell(convert.progress(event.progress))
-
-    yield Call("CreateSetup", lambda: upload.messages(header, files), lambda: receive)
-    if not created:
-        raise InternalError("the server ended without a result")
-    return created[0]
+    created: wire.CreatedSetup = yield from streamed(
+        "CreateSetup", lambda: upload.messages(header, files), "created", tell
+    )
+    return created
 
 
 def get_setup(setup_id: str) -> Operation[wire.SetupDescription]:
-    """Describes."""
+    """Description of a set-up."""
     response: wire.GetSetupResponse = yield Call("GetSetup", wire.GetSetupRequest(setup_id=setup_id))
     return response.setup
 
@@ -103,13 +67,13 @@ def mesh(setup: SetupFacts) -> Operation[Mesh]:
 
 
 def control_points(setup: SetupFacts) -> Operation[dict[str, NDArray[np.float64]]]:
-    """Those of the baseline."""
+    """Control points of the baseline."""
     response = yield Call("GetSetup", wire.GetSetupRequest(setup_id=setup.id, include_control_points=True))
     return convert.control_points(response.control_points)
 
 
 def list_setups() -> Operation[list[SetupSummary]]:
-    """Page after page."""
+    """The set-ups of all pages."""
     setups: list[SetupSummary] = []
     request = wire.ListSetupsRequest()
     while True:
@@ -121,7 +85,7 @@ def list_setups() -> Operation[list[SetupSummary]]:
 
 
 def share_setup(setup_id: str, visibility: Visibility, shared_with: Iterable[str]) -> Operation[SetupAccess]:
-    """Changes who else may use it."""
+    """Changes who else may use a set-up."""
     request = wire.ShareSetupRequest(setup_id=setup_id)
     convert.write_sharing(visibility, shared_with, request)
     response = yield Call("ShareSetup", request)
@@ -129,7 +93,7 @@ def share_setup(setup_id: str, visibility: Visibility, shared_with: Iterable[str
 
 
 def delete_setup(setup_id: str) -> Operation[None]:
-    """Gives it up; without effect the second time."""
+    """Gives up a set-up; idempotent."""
     yield from _gone(Call("DeleteSetup", wire.DeleteSetupRequest(setup_id=setup_id)))
 
 
@@ -141,47 +105,37 @@ def check(
     seed: int,
     tell: Tell,
 ) -> Operation[Check]:
-    """Checks derivatives."""
+    """Checks the derivatives of a set-up."""
     request = wire.CheckRequest(setup_id=setup.id, seed=seed, variables=variables)
     if design is None:
         request.designs = designs
     else:
         convert.write_point(DesignPoint(design), request)
-    report: list[wire.CheckReport] = []
-
-    def receive(event: wire.CheckResponse) -> None:
-        if event.HasField("report"):
-            report[:] = [event.report]
-        else:
-            tell(convert.progress(event.progress))
-
-    yield Call("Check", request, lambda: receive)
-    if not report:
-        raise InternalError("the server ended without a result")
-    return check_from_wire(report[0], tuple(variable.name for variable in setup.variables))
+    report = yield from streamed("Check", request, "report", tell)
+    return check_from_wire(report, tuple(variable.name for variable in setup.variables))
 
 
 def open_session(setup_id: str, label: str, request_id: str | None) -> Operation[SessionState]:
-    """Opens."""
+    """Opens a session."""
     request = wire.OpenSessionRequest(setup_id=setup_id, label=label, request_id=_request_id(request_id))
     response = yield Call("OpenSession", request)
     return convert.session_state(response.session)
 
 
 def get_session(session_id: str) -> Operation[SessionState]:
-    """Reads."""
+    """State of a session."""
     response = yield Call("GetSession", wire.GetSessionRequest(session_id=session_id))
     return convert.session_state(response.session)
 
 
 def resume(session_id: str) -> Operation[tuple[SessionState, wire.SetupDescription]]:
-    """Reads, with the set-up."""
+    """State of a session, and description of its set-up."""
     state = yield from get_session(session_id)
     return state, (yield from get_setup(state.setup_id))
 
 
 def list_sessions() -> Operation[list[SessionState]]:
-    """Page after page."""
+    """The sessions of all pages."""
     sessions: list[SessionState] = []
     request = wire.ListSessionsRequest()
     while True:
@@ -210,12 +164,12 @@ def update_session(
 
 
 def close_session(session_id: str) -> Operation[None]:
-    """Closes; without effect the second time."""
+    """Closes a session; idempotent."""
     yield from _gone(Call("CloseSession", wire.CloseSessionRequest(session_id=session_id)))
 
 
 def status() -> Operation[Status]:
-    """The server's."""
+    """Status of the server."""
     response = yield Call("GetStatus", wire.GetStatusRequest())
     return convert.status(response)
 
@@ -242,10 +196,9 @@ def jvp(
     points: Mapping[str, ArrayLike] | None,
     at: At,
 ) -> Operation[Tangents]:
-    """`J v`, block after block."""
+    """`J v`, piece after piece."""
     blocks = Blocks(_points(setup))
-    if directions is not None:
-        blocks.add("directions", directions, 1)
+    blocks.add("directions", directions, 1)
     points = points or {}
     for component, vectors in points.items():
         blocks.add(f"control_points[{component!r}]", vectors, 2)
@@ -260,7 +213,7 @@ def jvp(
         parts.append((yield Call("ApplyJacobianVector", request)))
     vertices = blocks.joined(part.vertices for part in parts)
     functions = blocks.joined(part.functions for part in parts)
-    return Tangents(vertices, setup.by_function(functions), *_seconds(parts))
+    return Tangents(vertices, setup.by_function(functions), **seconds(parts))
 
 
 def vjp(
@@ -272,12 +225,10 @@ def vjp(
     design: bool,
     control_points: Iterable[str],
 ) -> Operation[Gradients]:
-    """`J^T w`, block after block."""
+    """`J^T w`, piece after piece."""
     blocks = Blocks(_points(setup))
-    if vertices is not None:
-        blocks.add("vertices", vertices, 2)
-    if functions is not None:
-        blocks.add("functions", setup.weights(functions) if isinstance(functions, Mapping) else functions, 1)
+    blocks.add("vertices", vertices, 2)
+    blocks.add("functions", setup.weights(functions) if isinstance(functions, Mapping) else functions, 1)
     control_points = list(control_points)
     parts = []
     for piece in blocks.pieces():
@@ -292,11 +243,11 @@ def vjp(
         for index, component in enumerate(control_points)
     }
     by_design = blocks.joined(part.design for part in parts) if design else None
-    return Gradients(by_design, by_component, *_seconds(parts))
+    return Gradients(by_design, by_component, **seconds(parts))
 
 
 def jacobian(setup: SetupFacts, session_id: str, at: At, tell: Tell) -> Operation[Jacobian]:
-    """All columns, received into one array."""
+    """The Jacobian, its columns received into one array."""
     shape = (len(setup.variables), setup.vertex_count, 3)
     vertices = np.empty(shape)
     functions = np.empty((shape[0], len(setup.functions)))
@@ -308,7 +259,7 @@ def jacobian(setup: SetupFacts, session_id: str, at: At, tell: Tell) -> Operatio
         vertices[columns] = arrays.from_wire(part.vertices)
         functions[columns] = arrays.from_wire(part.functions)
         received[columns] = True
-        # Their arrays are not needed any more.
+        # Releases the arrays, which have been copied.
         part.ClearField("vertices")
         part.ClearField("functions")
         parts.append(part)
@@ -322,7 +273,7 @@ def jacobian(setup: SetupFacts, session_id: str, at: At, tell: Tell) -> Operatio
     yield Call("Jacobian", wire.JacobianRequest(session_id=session_id, at=_at(at)), receiver)
     if not received.all():
         raise InternalError("the server ended before the last column")
-    return Jacobian(vertices, setup.by_function(functions), *_seconds(parts))
+    return Jacobian(vertices, setup.by_function(functions), **seconds(parts))
 
 
 def _points(setup: SetupFacts) -> int:
@@ -334,13 +285,13 @@ def _request_id(given: str | None) -> str:
 
 
 def _gone(call: Call) -> Operation[None]:
-    """What is not there has been removed already, perhaps by an attempt whose answer was lost."""
+    """Ignores that there is nothing to remove: an earlier attempt whose answer was lost may have removed it."""
     with suppress(NotFound):
         yield call
 
 
 def _at(at: At) -> wire.LinearisationPoint:
-    """The id where there is one, and the design, from which the server makes what it does not hold."""
+    """The id, if any, and the design, from which the server recomputes a linearisation that it no longer holds."""
     point = wire.LinearisationPoint()
     if isinstance(at, Deformation):
         at = at.linearisation
@@ -353,43 +304,3 @@ def _at(at: At) -> wire.LinearisationPoint:
     point.design_point.SetInParent()
     convert.write_point(at if isinstance(at, DesignPoint) else DesignPoint(at), point.design_point)
     return point
-
-
-def _seconds(parts: list[Any]) -> tuple[float, float]:
-    """Of the engine, and in the queue."""
-    return sum(part.timings.engine_seconds for part in parts), sum(part.timings.queue_seconds for part in parts)
-
-
-class Blocks:
-    """Vectors to multiply with, by name: blocks with a first axis, cut into pieces that fit one request."""
-
-    def __init__(self, points: int) -> None:
-        """`points`: at most so many belong to one vector."""
-        self._blocks: dict[str, NDArray[np.float64]] = {}
-        #: Whether some had no first axis, and whether some had one.
-        self._single: set[bool] = set()
-        self._step = max(1, min(_VECTORS, _REQUEST // (24 * points)))
-
-    def add(self, name: str, vectors: ArrayLike, dimensions: int) -> None:
-        """Vectors of `dimensions` axes each, or a single one."""
-        block = np.asarray(vectors, dtype=np.float64)
-        self._single.add(block.ndim == dimensions)
-        self._blocks[name] = block[np.newaxis] if block.ndim <= dimensions else block
-
-    def pieces(self) -> Iterator[dict[str, NDArray[np.float64]]]:
-        """The blocks, some vectors at a time."""
-        counts = {name: len(block) for name, block in self._blocks.items()}
-        if not counts:
-            raise ValueError("there is nothing to multiply with: give directions or seeds")
-        if len(set(counts.values())) > 1:
-            raise ValueError(f"all blocks have to have as many vectors, these have {counts}")
-        count = next(iter(counts.values()))
-        # Without any vector there is still a request, which is refused.
-        for start in range(0, max(count, 1), self._step):
-            yield {name: block[start : start + self._step] for name, block in self._blocks.items()}
-
-    def joined(self, parts: Iterable[Any]) -> NDArray[np.float64]:
-        """The answers to all pieces as one block; its only vector, if all that was given had no first axis."""
-        blocks = [arrays.from_wire(part) for part in parts]
-        block: NDArray[np.float64] = blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
-        return block[0] if self._single == {True} else block

@@ -1,4 +1,4 @@
-"""Telling how far something long has come."""
+"""Progress of long calls."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from tqdm import tqdm
 
 from moldline.model import Progress
 
-#: What takes each step.
+#: Callback for the progress of a long call.
 Tell = Callable[[Progress], None]
 
 
 @contextmanager
 def told(progress: bool | Tell) -> Iterator[Tell]:
-    """What to tell: the caller's own function, a progress bar for each stage in turn, or nobody."""
+    """The callback for `progress`: a function as it is, a progress bar if `True`, or one without effect."""
     if callable(progress):
         yield progress
         return

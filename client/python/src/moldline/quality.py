@@ -21,15 +21,15 @@ class Distribution:
 
 @dataclass(frozen=True)
 class QualitySummary:
-    """Measures of some cells."""
+    """Quality measures of a set of cells."""
 
-    #: How many cells.
+    #: Number of cells.
     cells: int
     #: Verdict's aspect ratio.
     aspect_ratio: Distribution
     #: Longest over shortest edge.
     edge_ratio: Distribution
-    #: Against the owner surface's current normal; 1 at best, negative where a corner is inverted.
+    #: With respect to the owner surface's current normal; 1 at best, negative where a corner is inverted.
     min_scaled_jacobian: float
     #: Interior angles, degrees.
     min_angle: float
@@ -39,13 +39,13 @@ class QualitySummary:
     skew_max: float
     #: Cells whose area vector points against their owner's normal.
     folded: int
-    #: Cells with a corner that is turned against the owner's normal.
+    #: Cells with a corner whose normal points against their owner's normal.
     inverted: int
 
 
 @dataclass(frozen=True)
 class QualityReport:
-    """Measures of all cells and of each component's. `str` gives a table."""
+    """Quality measures of all cells, and of the cells of each component. `str` gives a table."""
 
     total: QualitySummary
     components: dict[str, QualitySummary]

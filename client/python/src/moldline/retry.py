@@ -1,4 +1,4 @@
-"""How long a call may take, and when it is tried again."""
+"""Deadlines and retries of calls."""
 
 from __future__ import annotations
 
@@ -12,29 +12,29 @@ from moldline.errors import Cancelled, DeadlineExceeded, MoldlineError, Resource
 
 @dataclass(frozen=True)
 class Retry:
-    """When a call is tried again: with growing pauses, as long as its timeout allows.
+    """Retry policy: exponential backoff with jitter, within the timeout of the call.
 
-    A server that cannot be reached or is about to stop (:class:`Unavailable`) is always worth another try, one that is
-    full (:class:`ResourceExhausted`) if it says when, and not before. All calls are safe to repeat: they change nothing,
-    or carry a request id by which the server recognises them.
+    Calls are retried if the server cannot be reached or is stopping (:class:`Unavailable`), or if it is full and names a
+    delay (:class:`ResourceExhausted`). All calls are safe to repeat: they change nothing, or carry a request id by which
+    the server recognises them.
 
-    The pause before attempt k + 1 is what the server asks for, plus a random share of `first_pause * 2^(k-1)`, so that
-    those who failed together do not come back together.
+    The pause before attempt k + 1 is the delay that the server names, plus a random share of `first_pause * 2^(k-1)`, so
+    that clients that failed together do not return together.
     """
 
-    #: How often a call is tried in all; 1 for never again.
+    #: Number of attempts, including the first; 1 for no retry.
     attempts: int = 10
-    #: Seconds.
+    #: Upper bound of the first random pause, seconds.
     first_pause: float = 0.1
-    #: Seconds beyond which pauses do not grow.
+    #: Upper bound of all random pauses, seconds.
     longest_pause: float = 5.0
 
 
 class Deadline:
-    """The end of the time that a call may take."""
+    """Deadline of an operation over all its calls."""
 
     def __init__(self, timeout: float) -> None:
-        #: Of the monotonic clock; may be infinite.
+        #: Time of the monotonic clock; may be infinite.
         self._end = time.monotonic() + timeout
 
     @property
@@ -44,7 +44,7 @@ class Deadline:
 
 
 class Attempts:
-    """Those of one call."""
+    """Failed attempts of one call."""
 
     def __init__(self, retry: Retry, deadline: Deadline) -> None:
         self._retry = retry
@@ -53,10 +53,10 @@ class Attempts:
         self._longest = retry.first_pause
 
     def pause(self, error: MoldlineError) -> float:
-        """Seconds to wait before the next attempt; raises `error` if there is none."""
+        """Seconds to wait before the next attempt; raises `error` if there is to be none."""
         self._failed += 1
         if isinstance(error, Cancelled) and self._deadline.remaining == 0.0:
-            # A server that ends a call at its deadline may say so in this way.
+            # A server may report the deadline as a cancellation.
             raise DeadlineExceeded("the call took longer than its timeout")
         again = isinstance(error, Unavailable) or (
             isinstance(error, ResourceExhausted) and error.retry_after is not None

@@ -1,4 +1,4 @@
-"""A set-up's files as messages."""
+"""Upload of a set-up's files."""
 
 from __future__ import annotations
 
@@ -20,10 +20,7 @@ _ARCHIVES = {
 
 
 def files(path: str | os.PathLike[str], header: wire.SetupHeader) -> list[Path]:
-    """The files to send, after they have been entered in the header: an archive, or all of a folder.
-
-    Hidden files and Python's caches stay.
-    """
+    """Enters the files to send in the header: an archive, or a folder's files except hidden ones and Python's caches."""
     path = Path(path)
     if path.is_dir():
         found = [file for file in sorted(path.rglob("*")) if file.is_file() and not _hidden(file.relative_to(path))]

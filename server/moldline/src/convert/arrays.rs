@@ -1,8 +1,8 @@
 //! Arrays of the protocol: little-endian bytes with type and shape. Reading one checks its type, its shape and its length before
 //! memory is taken; errors name the array's field.
 
+use moldline_host::ServiceError;
 use moldline_proto::v1::{self, DataType};
-use moldline_service::ServiceError;
 
 /// An array of points: (n, 3).
 pub fn points(points: &[[f64; 3]]) -> v1::Array {

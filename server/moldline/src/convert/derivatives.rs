@@ -1,10 +1,9 @@
 //! Points, directions and seeds of derivatives, and their products.
 
 use moldline_deform::Tangent;
+use moldline_host::{Product, ServiceError, Timing};
+use moldline_mesh_service::{At, ControlPointVectors, Directions, Gradients, Seeds};
 use moldline_proto::v1;
-use moldline_service::{
-    At, ControlPointVectors, Directions, Gradients, Product, Seeds, ServiceError, Timing,
-};
 
 use super::{arrays, sessions, status};
 

@@ -1,8 +1,9 @@
 //! Sessions, designs and deformations.
 
+use moldline_host::ServiceError;
 use moldline_mesh::{CellQuality, Distribution, QualityReport, Summary};
+use moldline_mesh_service::{Design, Linearised, Listed, Session, SessionUpdate, Values};
 use moldline_proto::v1::{self, DataType, deform_request, design_point};
-use moldline_service::{Design, Linearised, Listed, ServiceError, Session, SessionUpdate, Values};
 
 use super::{arrays, status};
 

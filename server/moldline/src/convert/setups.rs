@@ -1,11 +1,12 @@
 //! Set-ups: uploads, descriptions, access, lists.
 
+use moldline_host::{ServiceError, Tenant, TenantError};
 use moldline_mesh::Cell;
-use moldline_proto::v1::{self, DataType, create_setup_request::Part};
-use moldline_service::{
-    Access, ArchiveKind, Created, FileEntry, Listed, ServiceError, SetupSummary, StoredSetup, Tenant,
-    TenantError, UploadHeader, UploadSource, Visibility,
+use moldline_mesh_service::{
+    Access, ArchiveKind, Created, FileEntry, Listed, SetupSummary, StoredSetup, UploadHeader, UploadSource,
+    Visibility,
 };
+use moldline_proto::v1::{self, DataType, create_setup_request::Part};
 
 use super::{arrays, status};
 

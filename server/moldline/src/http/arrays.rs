@@ -9,8 +9,8 @@
 //!
 //! A single vector may omit its first dimension.
 
+use moldline_host::ServiceError;
 use moldline_proto::v1::{self, Array, deform_request, design_point};
-use moldline_service::ServiceError;
 
 /// Arrays by name. All must be used.
 pub struct Arrays(Vec<(String, Array)>);

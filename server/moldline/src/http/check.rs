@@ -1,11 +1,11 @@
 //! Checks of derivatives over HTTP.
 
 use axum::{body::Body, extract::State, http::HeaderMap, http::StatusCode, response::Response};
+use moldline_host::{Code, ServiceError};
 use moldline_proto::{
     json::read::Design,
     v1::{self, check_request::At, check_response::Event},
 };
-use moldline_service::{Code, ServiceError};
 use moldline_transport::{
     Answer, Caller, Deadline, Id,
     media::{self, Media},

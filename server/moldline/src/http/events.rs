@@ -10,7 +10,7 @@ use axum::{
     },
 };
 use moldline_proto::v1;
-use moldline_transport::{Answer, Deadline, Refusal};
+use moldline_transport::{Answer, Deadline, ErrorResponse};
 use serde::Serialize;
 use tokio::sync::mpsc;
 use tokio_stream::{StreamExt, wrappers::UnboundedReceiverStream};
@@ -38,7 +38,7 @@ pub fn stream<T: Serialize + Send + 'static>(
     }));
     let work = async move {
         let outcome = tokio::select! {
-            outcome = deadline.limit(work, Refusal::from) => outcome,
+            outcome = deadline.limit(work, ErrorResponse::from) => outcome,
             // The client has left: dropping this future cancels the work.
             () = sender.closed() => return,
         };

@@ -6,8 +6,8 @@ use axum::{
     http::{HeaderMap, HeaderName, HeaderValue},
     response::Response,
 };
+use moldline_host::{Code, ServiceError};
 use moldline_proto::v1::{self, Array, DataType};
-use moldline_service::{Code, ServiceError};
 use moldline_transport::{
     Answer, Caller, Deadline, Id, Query,
     media::{self, ARRAYS, Media},

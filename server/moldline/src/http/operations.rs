@@ -11,9 +11,9 @@ use axum::{
     http::{HeaderValue, StatusCode, header},
     response::Response,
 };
+use moldline_host::{Code, Principal, ServiceError, Tenant};
 use moldline_proto::v1;
-use moldline_service::{Code, Principal, ServiceError, Tenant};
-use moldline_transport::{Answer, Caller, Id, Problem, Refusal, media};
+use moldline_transport::{Answer, Caller, ErrorResponse, Id, Problem, media};
 use serde::Serialize;
 use tokio::{sync::watch, task::AbortHandle};
 use tracing::{Instrument, Span};
@@ -66,7 +66,7 @@ struct Course {
 #[derive(Debug)]
 struct Outcome {
     when: Instant,
-    result: Result<v1::CreatedSetup, Refusal>,
+    result: Result<v1::CreatedSetup, ErrorResponse>,
 }
 
 impl Operations {
@@ -165,7 +165,7 @@ fn describe(id: &str, course: &Course) -> Operation {
         done: result.is_some(),
         progress: course.progress.clone(),
         created: result.and_then(|result| result.as_ref().ok()).cloned(),
-        problem: result.and_then(|result| result.as_ref().err()).map(Refusal::problem),
+        problem: result.and_then(|result| result.as_ref().err()).map(ErrorResponse::problem),
     }
 }
 

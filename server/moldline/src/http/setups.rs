@@ -8,10 +8,10 @@ use axum::{
     http::{HeaderMap, HeaderValue, StatusCode, header},
     response::Response,
 };
+use moldline_host::{Principal, ServiceError};
 use moldline_proto::v1;
-use moldline_service::{Principal, ServiceError};
 use moldline_transport::{
-    Answer, Caller, Deadline, Id, Query, Refusal,
+    Answer, Caller, Deadline, ErrorResponse, Id, Query,
     media::{self, ARRAYS, Chunks, Media},
 };
 use serde::Deserialize;
@@ -110,7 +110,7 @@ fn announced(http: &Http, upload: Upload, headers: &HeaderMap) -> Answer<v1::Set
     let limit = http.api.service().limits().upload_bytes;
     let length = media::length(headers, limit)?.ok_or_else(|| {
         let error = ServiceError::invalid("content-length", "is missing: announce the length of the upload");
-        Refusal::with(StatusCode::LENGTH_REQUIRED, error)
+        ErrorResponse::with(StatusCode::LENGTH_REQUIRED, error)
     })?;
     let kind = headers.get(header::CONTENT_TYPE).and_then(|kind| kind.to_str().ok()).unwrap_or_default();
     let archive = |kind: v1::ArchiveKind| {
@@ -153,7 +153,7 @@ async fn receive(
     let header = convert::setups::upload(header)?;
     let most = http.api.service().limits().chunk_bytes;
     let parts = Chunks::new(body, most).map(|data| Ok((0, data?)));
-    http.api.create_setup(caller, header, parts, tell, Refusal::from).await
+    http.api.create_setup(caller, header, parts, tell, ErrorResponse::from).await
 }
 
 /// A page of a list.

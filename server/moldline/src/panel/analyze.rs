@@ -7,6 +7,7 @@ use std::{
 };
 
 use clap::Args;
+use moldline_host::{Cancellation, ServiceError};
 use moldline_mesh::{
     Limits, SurfaceMesh,
     io::{ReadError, msh, stl, vtu},
@@ -14,8 +15,7 @@ use moldline_mesh::{
 use moldline_panel::{
     Analysis, Flow, Loads, Options, PanelSetup, Reference, Scalars, Solver, Symmetry, TrailingEdges,
 };
-use moldline_panel_service::{refused, reporter};
-use moldline_service::Cancellation;
+use moldline_panel_service::reporter;
 use serde_json::{Value, json};
 
 use super::choices::{SOLVERS, SYMMETRIES, words};
@@ -91,7 +91,7 @@ fn point(text: &str) -> Result<[f64; 3], String> {
 pub fn run(options: &AnalyzeOptions) -> Result<(), Failure> {
     let mesh = read(&options.mesh)?;
     let pool = rayon::ThreadPoolBuilder::new().num_threads(cli::threads(options.threads)).build()?;
-    let setup = pool.install(|| PanelSetup::new(&mesh, choices(options))).map_err(refused)?;
+    let setup = pool.install(|| PanelSetup::new(&mesh, choices(options))).map_err(ServiceError::from)?;
     let summary = setup.summary();
     let symmetric = if summary.symmetric { ", one half for both" } else { "" };
     let edges = summary.trailing_edges.len();
@@ -108,8 +108,8 @@ pub fn run(options: &AnalyzeOptions) -> Result<(), Failure> {
     let analyses: Vec<Analysis> = pool.install(|| {
         let bar = Bar::new();
         let monitor = reporter(Cancellation::default(), |progress| bar.show(&progress));
-        let solution = setup.solve(&mesh.vertices, options.mach, &monitor).map_err(refused)?;
-        flows.iter().map(|flow| solution.analyse(flow).map_err(refused)).collect::<Result<_, _>>()
+        let solution = setup.solve(&mesh.vertices, options.mach, &monitor)?;
+        flows.iter().map(|flow| Ok(solution.analyse(flow)?)).collect::<Result<_, ServiceError>>()
     })?;
     for (alpha, analysis) in options.alpha.iter().zip(&analyses) {
         tell(*alpha, analysis)?;

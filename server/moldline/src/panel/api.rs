@@ -2,9 +2,9 @@
 
 use std::sync::Arc;
 
+use moldline_host::{Principal, ServiceError};
 use moldline_panel_service::PanelService;
 use moldline_proto::v1;
-use moldline_service::{Principal, ServiceError};
 
 use super::convert;
 use crate::convert::status;

@@ -1,12 +1,12 @@
 //! Conversions between the messages of the protocol and the types of the panel method and its service.
 
+use moldline_host::ServiceError;
 use moldline_mesh::{Cell, Group, Limits, MeshError};
 use moldline_panel::{
-    Analysis, Flow, Inputs, Loads, Options, Outputs, Reference, Scalars, Section, TrailingEdges,
+    Analysis, Flow, Inputs, Loads, Options, Outputs, PanelError, Reference, Scalars, Section, TrailingEdges,
 };
-use moldline_panel_service::{Analysed, AnalysisPoint, Configuration, Definition, Geometry, refused};
+use moldline_panel_service::{Analysed, AnalysisPoint, Configuration, Definition, Geometry};
 use moldline_proto::v1;
-use moldline_service::ServiceError;
 use v1::trailing_edges::Rule;
 
 use super::choices::{SOLVERS, SYMMETRIES, of_message, to_message};
@@ -35,7 +35,7 @@ pub fn definition(
     for (what, count, limit) in counts {
         if count > limit as u64 {
             let count = usize::try_from(count).unwrap_or(usize::MAX);
-            return Err(refused(MeshError::TooMany { what, count, limit }.into()));
+            return Err(PanelError::from(MeshError::TooMany { what, count, limit }).into());
         }
     }
     // The mesh marks a triangle's missing vertex by the same number.

@@ -1,7 +1,7 @@
 //! Requests whose bodies are arrays, as messages of the protocol. Their other fields are in the query.
 
+use moldline_host::ServiceError;
 use moldline_proto::v1::{self, Array};
-use moldline_service::ServiceError;
 use serde::Deserialize;
 use utoipa::IntoParams;
 

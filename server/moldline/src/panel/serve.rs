@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use clap::Args;
 use metrics::gauge;
+use moldline_host::ComputePool;
 use moldline_panel_service::{PanelService, Status};
-use moldline_service::ComputePool;
 use moldline_transport::{Gauges, Served};
 
 use super::{api::PanelApi, grpc, http};

@@ -2,8 +2,9 @@
 
 use std::time::Duration;
 
+use moldline_host::{Principal, Role, Tenant};
+use moldline_mesh_service::Limits;
 use moldline_proto::{FILE_DESCRIPTOR_SET, v1, v1::mesh_service_client::MeshServiceClient};
-use moldline_service::{Limits, Principal, Role, Tenant};
 use moldline_transport::{
     Access,
     tokens::{TokenFile, create},

@@ -1,0 +1,35 @@
+//! The transport of any service: one port for gRPC, gRPC-Web and HTTP, TLS, authentication, deadlines, errors, arrays,
+//! request ids, logs and metrics, health, and graceful shutdown.
+//!
+//! A service gives its gRPC services and its HTTP routes as [`Served`] and gets one [`axum::Router`] back ([`router`]),
+//! to be served on a [`Port`]. Its handlers find the caller as [`moldline_host::Principal`] and the [`Deadline`] in the
+//! extensions of a request, and answer errors with [`status`] or [`ErrorResponse`].
+//!
+//! Absent on purpose: anything that depends on the service, the command line.
+
+mod access;
+mod code;
+mod deadline;
+mod error_response;
+mod extract;
+mod health;
+mod listen;
+pub mod media;
+mod metrics;
+pub mod npy;
+mod observe;
+mod shell;
+mod tls;
+pub mod tokens;
+
+pub use access::{Access, Certified};
+pub use code::codes;
+pub use deadline::{Deadline, REQUEST_TIMEOUT};
+pub use error_response::{Answer, ErrorResponse, FieldViolation, Problem, status};
+pub use extract::{Caller, Id, Query};
+pub use health::Health;
+pub use listen::Port;
+pub use metrics::{start as start_metrics, upkeep as metrics_upkeep};
+pub use observe::{REQUEST_ID, Trace, names};
+pub use shell::{Gauges, Served, Surroundings, router};
+pub use tls::{TlsError, TlsFiles, acceptor};
