@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use bytes::Bytes;
 use moldline_host::{Principal, Product, ServiceError};
+use moldline_mesh_service::{Service, SetupView, UploadHeader, Wanted};
 use moldline_proto::v1;
-use moldline_service::{Service, SetupView, UploadHeader, Wanted};
 use moldline_transport::Deadline;
 use tokio::sync::mpsc;
 use tokio_stream::{Stream, StreamExt};

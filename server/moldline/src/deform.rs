@@ -70,8 +70,8 @@ fn report(setup: &Setup, design: &[f64], deformation: &Deformation) -> serde_jso
         .collect();
     serde_json::json!({
         "design": values,
-        "quality": moldline_setup::quality_json(&deformation.quality),
-        "reference_quality": moldline_setup::quality_json(&setup.report().quality),
+        "quality": moldline_setup_files::quality_json(&deformation.quality),
+        "reference_quality": moldline_setup_files::quality_json(&setup.report().quality),
         "seam_residual": deformation.seam_residual,
         "held_residual": deformation.held_residual,
         "projection_residual": deformation.projection_residual,

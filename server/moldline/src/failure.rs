@@ -57,10 +57,10 @@ pub enum Failure {
     NoPlots,
     /// There is no store, or it cannot be opened.
     #[error("{0}; give --store the store of `moldline serve`")]
-    NoStore(#[source] moldline_service::StoreError),
+    NoStore(#[source] moldline_mesh_service::StoreError),
     /// The store fails.
     #[error(transparent)]
-    Store(#[from] moldline_service::StoreError),
+    Store(#[from] moldline_mesh_service::StoreError),
     /// Objects of the store are not what was written.
     #[error("{0} objects of the store are damaged")]
     Damaged(usize),

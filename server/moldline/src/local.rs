@@ -10,8 +10,8 @@ use std::{
 use clap::Args;
 use moldline_deform::{Monitor, Setup, Stage};
 use moldline_host::{Cancellation, ServiceError};
-use moldline_service::reporter;
-use moldline_setup::{ArchiveKind, Files, Limits, SetupFileError, read_folder, read_setup, unpack};
+use moldline_mesh_service::reporter;
+use moldline_setup_files::{ArchiveKind, Files, Limits, SetupFileError, read_folder, read_setup, unpack};
 
 use crate::{bar::Bar, cli, failure::Failure};
 

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use clap::Args;
 use metrics::{counter, gauge};
 use moldline_host::{CacheStatus, Principal};
-use moldline_service::{Limits, Service, Store};
+use moldline_mesh_service::{Limits, Service, Store};
 use moldline_transport::{Gauges, Served};
 
 use crate::{
@@ -117,7 +117,7 @@ fn gauges(service: Arc<Service>) -> Gauges {
     })
 }
 
-fn record(status: &moldline_service::Status) {
+fn record(status: &moldline_mesh_service::Status) {
     gauge!("moldline_uptime_seconds").set(status.uptime.as_secs_f64());
     gauge!("moldline_compute_running").set(status.running as f64);
     gauge!("moldline_compute_running_limit").set(status.running_limit as f64);

@@ -40,7 +40,7 @@ pub enum Document {
 pub fn report(options: &SetupOptions) -> Result<(), Failure> {
     let setup = local::pool(&options.source)?.install(|| local::build(&options.source))?;
     if options.json {
-        say(&format_args!("{:#}", moldline_setup::report_json(setup.report())))
+        say(&format_args!("{:#}", moldline_setup_files::report_json(setup.report())))
     } else {
         say(setup.report())
     }
@@ -49,8 +49,8 @@ pub fn report(options: &SetupOptions) -> Result<(), Failure> {
 /// `moldline schema`
 pub fn schema(options: &SchemaOptions) -> Result<(), Failure> {
     let schema = match options.document {
-        Document::Setup => moldline_setup::setup_schema(),
-        Document::Geometry => moldline_setup::geometry_schema(),
+        Document::Setup => moldline_setup_files::setup_schema(),
+        Document::Geometry => moldline_setup_files::geometry_schema(),
     };
     say(&format_args!("{schema:#}"))
 }

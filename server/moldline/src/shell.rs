@@ -91,7 +91,7 @@ pub enum ServeError {
     Threads(#[from] rayon::ThreadPoolBuildError),
     /// The store cannot be opened.
     #[error(transparent)]
-    Store(#[from] moldline_service::StoreError),
+    Store(#[from] moldline_mesh_service::StoreError),
     /// The asynchronous runtime does not start.
     #[error("cannot start: {0}")]
     Start(#[from] std::io::Error),

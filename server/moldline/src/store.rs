@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use clap::{Args, Subcommand};
-use moldline_service::Store;
+use moldline_mesh_service::Store;
 use tokio::runtime;
 
 use crate::{cli, failure::Failure, output::say};

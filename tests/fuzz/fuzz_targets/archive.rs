@@ -3,7 +3,7 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use moldline_setup::{ArchiveKind, Limits, read_setup, unpack};
+use moldline_setup_files::{ArchiveKind, Limits, read_setup, unpack};
 
 fuzz_target!(|input: &[u8]| {
     let Some((kind, content)) = input.split_first() else { return };

@@ -2,7 +2,7 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use moldline_setup::{Files, Limits, read_setup};
+use moldline_setup_files::{Files, Limits, read_setup};
 
 fuzz_target!(|input: &[u8]| {
     let Some((kind, content)) = input.split_first() else { return };

@@ -1,8 +1,8 @@
 //! Checks of derivatives.
 
 use moldline_host::{Product, Progress, ServiceError};
+use moldline_mesh_service::{CheckAt, CheckReport, CheckRequest};
 use moldline_proto::v1;
-use moldline_service::{CheckAt, CheckReport, CheckRequest};
 use v1::{check_request::At, check_response::Event, design_point::Input};
 
 use super::{arrays::numbers, sessions::design_point, status::timings};

@@ -2,8 +2,8 @@
 
 use moldline_deform::Tangent;
 use moldline_host::{Product, ServiceError, Timing};
+use moldline_mesh_service::{At, ControlPointVectors, Directions, Gradients, Seeds};
 use moldline_proto::v1;
-use moldline_service::{At, ControlPointVectors, Directions, Gradients, Seeds};
 
 use super::{arrays, sessions, status};
 

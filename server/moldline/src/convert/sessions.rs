@@ -2,8 +2,8 @@
 
 use moldline_host::ServiceError;
 use moldline_mesh::{CellQuality, Distribution, QualityReport, Summary};
+use moldline_mesh_service::{Design, Linearised, Listed, Session, SessionUpdate, Values};
 use moldline_proto::v1::{self, DataType, deform_request, design_point};
-use moldline_service::{Design, Linearised, Listed, Session, SessionUpdate, Values};
 
 use super::{arrays, status};
 

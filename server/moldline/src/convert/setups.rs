@@ -2,11 +2,11 @@
 
 use moldline_host::{ServiceError, Tenant, TenantError};
 use moldline_mesh::Cell;
-use moldline_proto::v1::{self, DataType, create_setup_request::Part};
-use moldline_service::{
+use moldline_mesh_service::{
     Access, ArchiveKind, Created, FileEntry, Listed, SetupSummary, StoredSetup, UploadHeader, UploadSource,
     Visibility,
 };
+use moldline_proto::v1::{self, DataType, create_setup_request::Part};
 
 use super::{arrays, status};
 

@@ -3,8 +3,8 @@
 use std::time::SystemTime;
 
 use moldline_host::{CacheStatus, Progress, Timing};
+use moldline_mesh_service::{Page, Status};
 use moldline_proto::v1;
-use moldline_service::{Page, Status};
 
 pub fn progress(Progress { stage, fraction, message }: Progress) -> v1::Progress {
     v1::Progress { stage: stage.to_owned(), fraction, message }

@@ -3,8 +3,8 @@
 use std::time::Duration;
 
 use moldline_host::{Principal, Role, Tenant};
+use moldline_mesh_service::Limits;
 use moldline_proto::{FILE_DESCRIPTOR_SET, v1, v1::mesh_service_client::MeshServiceClient};
-use moldline_service::Limits;
 use moldline_transport::{
     Access,
     tokens::{TokenFile, create},

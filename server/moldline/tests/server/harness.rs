@@ -4,8 +4,8 @@ use std::{collections::HashMap, net::SocketAddr, sync::Arc, time::Duration};
 
 use moldline::{panel, serve, shell::Parts, telemetry};
 use moldline_host::{ComputePool, PoolLimits};
+use moldline_mesh_service::{Limits, Service};
 use moldline_panel_service::PanelService;
-use moldline_service::{Limits, Service};
 use moldline_transport::{Access, Health, Port, Surroundings, router, start_metrics};
 use tokio::{
     io::{AsyncReadExt, AsyncWriteExt},

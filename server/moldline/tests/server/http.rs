@@ -1,6 +1,6 @@
 //! Every route, with a plain client over loopback.
 
-use moldline_service::Limits;
+use moldline_mesh_service::Limits;
 use moldline_transport::Access;
 use serde_json::{Value, json};
 
