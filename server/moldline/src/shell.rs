@@ -62,6 +62,9 @@ pub struct ComputeOptions {
     /// Requests of one tenant that compute or wait
     #[arg(long, env = "MOLDLINE_TENANT_LOAD", default_value_t = 64)]
     pub tenant_load: usize,
+    /// Seconds that one piece of work may take (a build, a deformation, a product, a check); then it is given up
+    #[arg(long, env = "MOLDLINE_MAX_WORK", default_value_t = 600.0, value_name = "SECONDS", value_parser = values::seconds)]
+    pub max_work: f64,
     /// Largest message received, MiB
     #[arg(long, env = "MOLDLINE_MAX_MESSAGE", default_value_t = 64, value_name = "MIB")]
     pub max_message: usize,
@@ -72,7 +75,7 @@ impl ComputeOptions {
     pub fn pool(&self) -> PoolLimits {
         let threads = values::threads(self.threads);
         let running = self.running.map_or(threads, NonZeroUsize::get);
-        PoolLimits { threads, running, queued: self.queued }
+        PoolLimits { threads, running, queued: self.queued, work: Duration::from_secs_f64(self.max_work) }
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use moldline_geometry::{Body, Component};
+use moldline_geometry::{Body, Component, Vector3};
 use rayon::prelude::*;
 
 use crate::error::ControlPointsError;
@@ -27,6 +27,51 @@ pub(crate) fn bodies(
         .zip(control_points)
         .map(|(component, points)| Body::new(component.clone(), component.internal_control_points(points)))
         .collect())
+}
+
+/// The space that control points may lie in: a ball around the mesh. Far outside of it lies nothing that the mesh could
+/// follow, and coordinates are too coarse for the tolerances of the searches.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Reach {
+    middle: Vector3,
+    radius: f64,
+}
+
+impl Reach {
+    /// Radius, in reference lengths.
+    pub(crate) const LENGTHS: f64 = 1000.0;
+
+    /// `middle`: that of the mesh; `length`: the reference length, m.
+    pub(crate) fn new(middle: Vector3, length: f64) -> Self {
+        Self { middle, radius: Self::LENGTHS * length }
+    }
+
+    /// Refuses control points outside. `given`: the components whose control points do not come from the design.
+    pub(crate) fn check(
+        &self,
+        components: &[Arc<Component>],
+        control_points: &[Vec<[f64; 3]>],
+        given: &dyn Fn(usize) -> bool,
+    ) -> Result<(), ControlPointsError> {
+        let squared = self.radius * self.radius;
+        for (component, points) in control_points.iter().enumerate() {
+            // Squares that overflow are outside, too; coordinates that are not finite have an error of their own.
+            let outside = |x: &[f64; 3]| {
+                x.iter().all(|x| x.is_finite()) && (Vector3::from(*x) - self.middle).norm_squared() > squared
+            };
+            if let Some(point) = points.iter().position(outside) {
+                return Err(ControlPointsError::Far {
+                    component,
+                    name: components.get(component).map_or_else(String::new, |c| c.name().to_owned()),
+                    point,
+                    position: points[point],
+                    limit: self.radius,
+                    by_design: !given(component),
+                });
+            }
+        }
+        Ok(())
+    }
 }
 
 /// Whether there is such a component, and `points` are one finite vector for each of its control points.

@@ -99,11 +99,11 @@ impl Chain {
         enter(Stage::SeamSearch)?;
         let seams = self.seams.eval(&self.reference, &bodies, monitor)?;
         enter(Stage::Field)?;
-        let motions = self.motions.eval(&seams, &bodies)?;
+        let motions = self.motions.eval(&seams, &bodies, monitor)?;
         let values = self.fields.eval(&motions, &bodies);
         enter(Stage::Projection)?;
-        let placed = self.placement.eval(&self.fields, &values, &seams, &bodies)?;
-        let rounds = self.smoothing.eval(&placed, &bodies)?;
+        let placed = self.placement.eval(&self.fields, &values, &seams, &bodies, monitor)?;
+        let rounds = self.smoothing.eval(&placed, &bodies, monitor)?;
         let smoothed = rounds.last().unwrap_or(&placed);
         let projected = self.projection.eval(smoothed, &self.seams, &seams, &bodies, monitor)?;
         enter(Stage::Quality)?;

@@ -1,7 +1,7 @@
 //! Constraints (sec. III.F of the paper), and the check that the vertices that they hold still lie on their components at the
 //! end.
 
-use std::sync::Arc;
+use std::{collections::HashSet, sync::Arc};
 
 use moldline_geometry::Body;
 use moldline_mesh::SurfaceMesh;
@@ -78,7 +78,8 @@ impl Constraints {
 /// Whether a vertex is in one of the named groups, for each vertex.
 pub(crate) fn in_groups(mesh: &SurfaceMesh, names: &[String]) -> Vec<bool> {
     let mut mask = vec![false; mesh.vertices.len()];
-    let groups = mesh.vertex_groups.iter().filter(|g| names.contains(&g.name));
+    let names: HashSet<&str> = names.iter().map(String::as_str).collect();
+    let groups = mesh.vertex_groups.iter().filter(|g| names.contains(g.name.as_str()));
     groups.flat_map(|g| &g.indices).for_each(|&v| mask[v as usize] = true);
     mask
 }

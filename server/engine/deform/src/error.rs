@@ -82,6 +82,31 @@ pub enum ControlPointsError {
         /// The coordinate.
         value: f64,
     },
+    /// A control point lies absurdly far outside.
+    #[error(
+        "control_points[{component}] (`{name}`): point {point} at {position:?} m is farther than {limit:.3e} m (1000 \
+         reference lengths) from the middle of the mesh; {}",
+        if *by_design {
+            "take smaller values of the design variables that move this component, and compare the units of mesh and \
+             components"
+        } else {
+            "check its unit (metres) and its origin"
+        }
+    )]
+    Far {
+        /// Index of the component.
+        component: usize,
+        /// Its name.
+        name: String,
+        /// Index of the point.
+        point: usize,
+        /// Where it is, m.
+        position: [f64; 3],
+        /// The largest distance allowed, m.
+        limit: f64,
+        /// The design moves it there; otherwise it was given.
+        by_design: bool,
+    },
 }
 
 /// Why a set-up is refused.
@@ -430,6 +455,7 @@ impl Failure for DeformError {
         Some(match self {
             Self::Design(error) => return error.field(),
             Self::Cancelled => return None,
+            Self::ControlPoints(ControlPointsError::Far { by_design: true, .. }) => "design".to_owned(),
             Self::ControlPoints(_) => "control_points".to_owned(),
             Self::SeamLost { .. }
             | Self::NotProjected { .. }

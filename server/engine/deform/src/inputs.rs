@@ -67,7 +67,10 @@ impl Setup {
     ) -> Result<ControlPoints, DeformError> {
         monitor.progress(Stage::Geometry, 0.0);
         self.parameterisation.validate(&inputs.design)?;
-        Ok(self.parameterisation.control_points_with(&inputs.design, &inputs.given)?)
+        let control_points = self.parameterisation.control_points_with(&inputs.design, &inputs.given)?;
+        let given = |component| inputs.given.iter().any(|given| given.component == component);
+        self.reach.check(&self.components, &control_points, &given)?;
+        Ok(control_points)
     }
 
     /// Tangents of all control points for directions of the inputs at a design. `given`: the components that the design does not

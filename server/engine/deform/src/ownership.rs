@@ -163,15 +163,19 @@ impl Ownership {
         tolerance: f64,
         monitor: &dyn Monitor<Stage>,
     ) -> Result<Self, SetupError> {
+        monitor.progress(Stage::Ownership, 0.0);
         let mut found: Vec<Vec<Attachment>> = Vec::with_capacity(vertices.len());
         for chunk in vertices.chunks(CHUNK) {
-            if monitor.cancelled() {
-                return Err(SetupError::Cancelled);
-            }
-            found.par_extend(chunk.par_iter().map(|x| attachments(&Vector3::from(*x), bodies, tolerance)));
+            // One search may take long, where all points of a component are equally near.
+            let attachments = |x: &[f64; 3]| match monitor.cancelled() {
+                true => Vec::new(),
+                false => attachments(&Vector3::from(*x), bodies, tolerance),
+            };
+            found.par_extend(chunk.par_iter().map(attachments));
+            go_on(monitor)?;
             monitor.progress(Stage::Ownership, found.len() as f64 / vertices.len() as f64);
         }
-        refuse_off_surface(vertices, &found, bodies, tolerance)?;
+        refuse_off_surface(vertices, &found, bodies, tolerance, monitor)?;
         let mut offsets = vec![0];
         let mut attachments = Vec::with_capacity(vertices.len());
         for found in found {
@@ -179,7 +183,8 @@ impl Ownership {
             offsets.push(attachments.len() as u32);
         }
         let mut ownership = Self { offsets, attachments, cell_owner: Vec::new() };
-        ownership.cell_owner = ownership.cell_owners(vertices, cells, bodies)?;
+        ownership.cell_owner = ownership.cell_owners(vertices, cells, bodies, monitor)?;
+        go_on(monitor)?;
         ownership.drop_stray_attachments(cells);
         for (component, (index, body)) in (0u32..).zip(bodies.iter().enumerate()) {
             if !ownership.cell_owner.contains(&component) {
@@ -194,6 +199,7 @@ impl Ownership {
         vertices: &[[f64; 3]],
         cells: &[Cell],
         bodies: &[Body],
+        monitor: &dyn Monitor<Stage>,
     ) -> Result<Vec<u32>, SetupError> {
         let owners: Vec<Option<u32>> = cells
             .par_iter()
@@ -208,6 +214,7 @@ impl Ownership {
                 match common[..] {
                     [] => None,
                     [owner] => Some(owner),
+                    _ if monitor.cancelled() => None,
                     // All corners are on seams: the component that the cell's normal agrees with.
                     _ => {
                         let middle = centroid(vertices, cell);
@@ -218,6 +225,7 @@ impl Ownership {
                 }
             })
             .collect();
+        go_on(monitor)?;
         let across: Vec<u32> =
             (0u32..).zip(&owners).filter(|(_, owner)| owner.is_none()).map(|(i, _)| i).collect();
         if across.is_empty() {
@@ -283,11 +291,16 @@ fn freedom(body: &Body, location: &Location, feature: Feature) -> Freedom {
     }
 }
 
+fn go_on(monitor: &dyn Monitor<Stage>) -> Result<(), SetupError> {
+    if monitor.cancelled() { Err(SetupError::Cancelled) } else { Ok(()) }
+}
+
 fn refuse_off_surface(
     vertices: &[[f64; 3]],
     found: &[Vec<Attachment>],
     bodies: &[Body],
     tolerance: f64,
+    monitor: &dyn Monitor<Stage>,
 ) -> Result<(), SetupError> {
     let mut off: Vec<VertexDistance> = (0u32..)
         .zip(found)
@@ -298,9 +311,13 @@ fn refuse_off_surface(
         return Ok(());
     }
     off.par_iter_mut().for_each(|o| {
+        if monitor.cancelled() {
+            return;
+        }
         let x = Vector3::from(vertices[o.vertex as usize]);
         o.distance = bodies.iter().map(|b| b.closest_point(&x).distance.abs()).fold(f64::INFINITY, f64::min);
     });
+    go_on(monitor)?;
     off.sort_by(|a, b| b.distance.total_cmp(&a.distance).then(a.vertex.cmp(&b.vertex)));
     let count = off.len();
     off.truncate(LISTED);

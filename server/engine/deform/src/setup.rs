@@ -1,6 +1,6 @@
 //! The set-up: everything that does not change with the design. It is built once and shared by all sessions.
 
-use std::sync::Arc;
+use std::{collections::HashSet, sync::Arc};
 
 use moldline_geometry::{Aabb, Body, Component, Location, SmoothUnion};
 use moldline_mesh::{SurfaceMesh, Topology};
@@ -10,7 +10,7 @@ use moldline_spline::Vector3;
 
 use crate::{
     DeformError, Monitor, Options, SetupError, Stage,
-    bodies::bodies,
+    bodies::{Reach, bodies},
     chain::{
         Chain,
         field::{RegionField, setup::FieldBuilder},
@@ -83,6 +83,8 @@ pub struct Setup {
     pub(crate) parameterisation: Parameterisation,
     pub(crate) ownership: Arc<Ownership>,
     in_plane: InPlane,
+    /// Where control points may lie.
+    pub(crate) reach: Reach,
     /// Vertices that stay where they are in space.
     stationary: Vec<bool>,
     /// The steps of a deformation.
@@ -144,13 +146,17 @@ impl Setup {
         let names: Vec<String> = components.iter().map(|c| c.name().to_owned()).collect();
         check_names(&names, &options, &mesh)?;
         let components: Vec<Arc<Component>> = components.into_iter().map(Arc::new).collect();
-        let baseline = parameterisation.control_points(&parameterisation.baseline());
-        let reference = bodies(&components, &baseline.map_err(SetupError::Baseline)?);
-        let reference: Arc<[Body]> = reference.map_err(SetupError::ControlPoints)?.into();
         let mesh = Arc::new(mesh);
+        let bounds = Aabb::around(mesh.vertices.iter().map(|x| Vector3::from(*x)));
+        let length = bounds.diagonal();
+        let reach = Reach::new(bounds.center(), length);
+        let baseline = parameterisation.control_points(&parameterisation.baseline());
+        let baseline = baseline.map_err(SetupError::Baseline)?;
+        reach.check(&components, &baseline, &|_| false).map_err(SetupError::ControlPoints)?;
+        let reference = bodies(&components, &baseline);
+        let reference: Arc<[Body]> = reference.map_err(SetupError::ControlPoints)?.into();
 
         monitor.progress(Stage::Mesh, 0.0);
-        let length = Aabb::around(mesh.vertices.iter().map(|x| Vector3::from(*x))).diagonal();
         let tolerance = options.surface_tolerance * length;
         let topology = Topology::new(&mesh);
         let symmetry = MeshSymmetry::find(&mesh, &topology, tolerance, options.symmetric)?;
@@ -268,6 +274,7 @@ impl Setup {
             parameterisation,
             ownership,
             in_plane,
+            reach,
             stationary,
             chain,
             constraints,
@@ -344,8 +351,10 @@ impl Setup {
     /// The components with other control points: per component, the user's, Cartesian.
     ///
     /// # Errors
-    /// [`DeformError::ControlPoints`] if counts do not match or a coordinate is not finite.
+    /// [`DeformError::ControlPoints`] if counts do not match, a coordinate is not finite, or a point lies farther from the mesh
+    /// than 1000 reference lengths.
     pub fn bodies(&self, control_points: &[Vec<[f64; 3]>]) -> Result<Vec<Body>, DeformError> {
+        self.reach.check(&self.components, control_points, &|_| true)?;
         Ok(bodies(&self.components, control_points)?)
     }
 
@@ -399,25 +408,25 @@ fn check_names(names: &[String], options: &Options, mesh: &SurfaceMesh) -> Resul
     if names.is_empty() {
         return Err(SetupError::NoComponents);
     }
-    if let Some(i) = (1..names.len()).find(|&i| names[..i].contains(&names[i])) {
-        return Err(SetupError::DuplicateComponent { name: names[i].clone() });
+    let mut components = HashSet::new();
+    if let Some(name) = names.iter().find(|name| !components.insert(name.as_str())) {
+        return Err(SetupError::DuplicateComponent { name: name.clone() });
     }
-    let known = |field: &str, name: &String, known: Vec<String>| {
-        if known.contains(name) {
-            Ok(())
-        } else {
-            Err(SetupError::UnknownName { field: field.to_owned(), name: name.clone(), known })
-        }
+    let groups: HashSet<&str> = mesh.vertex_groups.iter().map(|g| g.name.as_str()).collect();
+    let unknown = |field: &str, name: &String, known: Vec<String>| {
+        Err(SetupError::UnknownName { field: field.to_owned(), name: name.clone(), known })
     };
     for (name, _) in &options.blend_radius_of {
-        known("blend_radius_of", name, names.to_vec())?;
+        if !components.contains(name.as_str()) {
+            return unknown("blend_radius_of", name, names.to_vec());
+        }
     }
-    let groups = || mesh.vertex_groups.iter().map(|g| g.name.clone()).collect::<Vec<_>>();
-    for name in &options.protected_groups {
-        known("protected_groups", name, groups())?;
-    }
-    for name in &options.stationary_groups {
-        known("stationary_groups", name, groups())?;
+    let of_groups =
+        [("protected_groups", &options.protected_groups), ("stationary_groups", &options.stationary_groups)];
+    for (field, used) in of_groups {
+        if let Some(name) = used.iter().find(|name| !groups.contains(name.as_str())) {
+            return unknown(field, name, mesh.vertex_groups.iter().map(|g| g.name.clone()).collect());
+        }
     }
     Ok(())
 }

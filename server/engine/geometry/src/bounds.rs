@@ -47,6 +47,11 @@ impl Aabb {
         (self.low + self.high) * 0.5
     }
 
+    /// Largest magnitude of a coordinate, metres.
+    pub fn reach(&self) -> f64 {
+        self.low.amax().max(self.high.amax())
+    }
+
     /// Square of the distance from `x` to the box; 0 inside.
     #[inline]
     pub fn squared_distance(&self, x: &Vector3) -> f64 {

@@ -10,9 +10,13 @@
 //!   squared distance exceeds the bound, is a global one;
 //! - none of these: it is halved, and the halves are examined in turn.
 //!
-//! So the result is the global minimum up to `TOLERANCE` of the body's size. The exception is points with (nearly) a
-//! continuum of nearest points, such as those on the axis of a tube, where halving would take too long. After every
-//! `PATIENCE` halvings the tolerance doubles; the point returned is still an exact local minimum.
+//! So the result is the global minimum up to `TOLERANCE` of the body's size, or the rounding of its coordinates if that is
+//! larger. The exception is points with (nearly) a continuum of nearest points, such as those on the axis of a tube, where
+//! halving would take too long. After every `PATIENCE` halvings the tolerance doubles; the point returned is still an exact
+//! local minimum.
+//!
+//! The search ends whatever the numbers: pieces wait on a stack of its own, those whose parameters or coordinates cannot be
+//! halved in floating point are halved no more, and neither is anything after `MAX_HALVINGS`.
 
 use crate::bezier::{Net, SIDE, Shape, position};
 use crate::body::Body;
@@ -26,8 +30,15 @@ use moldline_foundation::Vector3;
 const TOLERANCE: f64 = 1e-14;
 /// Halvings after which the tolerance doubles.
 const PATIENCE: usize = 1024;
-/// Pieces smaller than this, relative to the body, are not halved any more.
+/// Pieces smaller than this, relative to the body, are not halved any more...
 const SMALLEST: f64 = 1e-14;
+/// ... nor those smaller than this, relative to their coordinates: in rounding they cannot become smaller.
+const ROUNDING: f64 = 8.0 * f64::EPSILON;
+/// A piece is halved this often: far more than it takes to be smaller than `SMALLEST` by bisection in both directions.
+const DEPTH: u32 = 256;
+/// A query halves this often. The tolerance then exceeds the size of the body, so that there is nothing left to find.
+const MAX_HALVINGS: usize = 64 * PATIENCE;
+
 /// The best point so far of a query.
 struct Query<'a> {
     body: &'a Body,
@@ -36,7 +47,17 @@ struct Query<'a> {
     position: Vector3,
     distance: f64,
     size: f64,
+    /// Tolerance of the distance before any halving, metres.
+    tolerance: f64,
     halvings: usize,
+}
+
+/// A part of a patch that waits for its examination.
+struct Part<const N: usize> {
+    rectangle: Rectangle,
+    net: Net<N>,
+    /// Halvings that made it.
+    depth: u32,
 }
 
 impl Body {
@@ -66,13 +87,15 @@ impl Body {
     /// The nearest location not further away than `bound`.
     fn nearest(&self, x: &Vector3, bound: f64) -> Option<Location> {
         let hierarchy = self.hierarchy();
+        let size = self.size();
         let mut query = Query {
             body: self,
             x,
             best: None,
             position: *x,
             distance: bound,
-            size: self.size(),
+            size,
+            tolerance: (TOLERANCE * size).max(f64::EPSILON * self.bounds().reach().max(x.amax())),
             halvings: 0,
         };
         let leaf = &hierarchy.leaves[hierarchy.nearest_center(x, bound)? as usize];
@@ -89,7 +112,7 @@ impl Body {
 
 impl Query<'_> {
     fn tolerance(&self) -> f64 {
-        TOLERANCE * self.size * f64::exp2((self.halvings / PATIENCE) as f64)
+        self.tolerance * f64::exp2((self.halvings / PATIENCE) as f64)
     }
 
     /// Square of the distance at and beyond which a piece cannot improve on the best point.
@@ -156,38 +179,68 @@ impl Query<'_> {
         if self.is_beyond(net) {
             return;
         }
+        // At most `DEPTH + 1` parts: each halving replaces one by two that are one deeper.
+        let mut waiting = Vec::new();
         if part == leaf.rectangle {
-            self.halve(leaf.patch, part, net, &leaf.shape);
+            self.halve(leaf.patch, &Part { rectangle: part, net: *net, depth: 0 }, &leaf.shape, &mut waiting);
         } else {
-            self.examine_net(leaf.patch, part, &net.restricted(leaf.rectangle, part));
+            let net = net.restricted(leaf.rectangle, part);
+            waiting.push(Part { rectangle: part, net, depth: 0 });
+        }
+        let rational = self.body.component().patches()[leaf.patch as usize].surface.is_rational();
+        while let Some(part) = waiting.pop() {
+            self.examine_part(leaf.patch, part, rational, &mut waiting);
         }
     }
 
-    fn examine_net<const N: usize>(&mut self, patch: u32, rectangle: Rectangle, net: &Net<N>) {
-        if self.is_beyond(net) {
-            return;
-        }
-        let rational = self.body.component().patches()[patch as usize].surface.is_rational();
-        let shape = Shape::new(net, rational);
-        if shape.squared_distance(self.x) >= self.limit() {
-            return;
-        }
-        match shape.minimum_part(self.x, rectangle) {
-            (part, true) => self.minimise_convex(patch, part),
-            (part, false) if part == rectangle => self.halve(patch, rectangle, net, &shape),
-            (part, false) => self.examine_net(patch, part, &net.restricted(rectangle, part)),
+    fn examine_part<const N: usize>(
+        &mut self,
+        patch: u32,
+        mut part: Part<N>,
+        rational: bool,
+        waiting: &mut Vec<Part<N>>,
+    ) {
+        // A restriction takes one extent away, so that there are at most two of them.
+        loop {
+            if self.is_beyond(&part.net) {
+                return;
+            }
+            let shape = Shape::new(&part.net, rational);
+            if shape.squared_distance(self.x) >= self.limit() {
+                return;
+            }
+            match shape.minimum_part(self.x, part.rectangle) {
+                (rectangle, true) => return self.minimise_convex(patch, rectangle),
+                (rectangle, false) if rectangle == part.rectangle => {
+                    return self.halve(patch, &part, &shape, waiting);
+                }
+                (rectangle, false) => {
+                    part.net = part.net.restricted(part.rectangle, rectangle);
+                    part.rectangle = rectangle;
+                }
+            }
         }
     }
 
-    fn halve<const N: usize>(&mut self, patch: u32, rectangle: Rectangle, net: &Net<N>, shape: &Shape) {
-        let [u, v] = rectangle;
+    /// Halves a part, unless it is too small for that: then its minimum is taken.
+    fn halve<const N: usize>(
+        &mut self,
+        patch: u32,
+        part: &Part<N>,
+        shape: &Shape,
+        waiting: &mut Vec<Part<N>>,
+    ) {
+        let [u, v] = part.rectangle;
         let (middle_u, middle_v) = (0.5 * (u.0 + u.1), 0.5 * (v.0 + v.1));
-        if shape.radius <= SMALLEST * self.size {
-            return self.minimise(patch, rectangle, (middle_u, middle_v), None);
+        let along_u = shape.cut_along_u();
+        let (middle, (low, high)) = if along_u { (middle_u, u) } else { (middle_v, v) };
+        let smallest = (SMALLEST * self.size).max(ROUNDING * shape.center.amax());
+        let divisible = low < middle && middle < high && part.depth < DEPTH;
+        if shape.radius <= smallest || !divisible || self.halvings >= MAX_HALVINGS {
+            return self.minimise(patch, part.rectangle, (middle_u, middle_v), None);
         }
         self.halvings += 1;
-        let along_u = shape.cut_along_u();
-        let halves = net.halves(along_u);
+        let halves = part.net.halves(along_u);
         let rectangles = if along_u {
             [[(u.0, middle_u), v], [(middle_u, u.1), v]]
         } else {
@@ -197,9 +250,9 @@ impl Query<'_> {
         let reach = |net: &Net<N>| {
             net.points().map(|h| (position(h) - self.x).norm_squared()).fold(f64::INFINITY, f64::min)
         };
-        let order = if reach(&halves[0]) <= reach(&halves[1]) { [0, 1] } else { [1, 0] };
-        for k in order {
-            self.examine_net(patch, rectangles[k], &halves[k]);
+        let first = usize::from(reach(&halves[0]) > reach(&halves[1]));
+        for k in [1 - first, first] {
+            waiting.push(Part { rectangle: rectangles[k], net: halves[k], depth: part.depth + 1 });
         }
     }
 }

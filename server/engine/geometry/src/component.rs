@@ -62,6 +62,9 @@ impl Component {
         if size == 0.0 {
             return Err(ComponentError::NoExtent { component: name });
         }
+        if !(1e-30..=1e30).contains(&size) {
+            return Err(ComponentError::Size { component: name, size });
+        }
 
         let mut pieces = Vec::new();
         let mut user = UserMap {

@@ -45,8 +45,8 @@ pub enum ComponentError {
         /// The coordinate.
         value: f64,
     },
-    /// A weight is not positive and finite.
-    #[error("weight {index} of patch '{patch}' is {value}: weights must be positive")]
+    /// A weight is not positive, or absurdly small or large.
+    #[error("weight {index} of patch '{patch}' is {value}: weights must be positive, from 1e-9 to 1e9")]
     Weight {
         /// The patch's name.
         patch: String,
@@ -60,6 +60,16 @@ pub enum ComponentError {
     NoExtent {
         /// The component's name.
         component: String,
+    },
+    /// A component is so small or so large that squares and products of its lengths leave double precision.
+    #[error(
+        "component '{component}' measures {size:e} m across, outside 1e-30..=1e30 m: check the unit of its control points"
+    )]
+    Size {
+        /// The component's name.
+        component: String,
+        /// Diagonal of the box around its control points, m.
+        size: f64,
     },
     /// The shell has a boundary, and that was not allowed.
     #[error(

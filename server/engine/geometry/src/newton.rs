@@ -14,6 +14,9 @@ use moldline_spline::{Surface, SurfaceJet};
 const LAST_STEP: f64 = 1e-11;
 /// Steps shorter than this, relative to the size of the component, are lost in rounding.
 const NO_STEP: f64 = 1e-15;
+/// Trials of a step. Each that is refused shrinks the trust region to a quarter or less, so that more are made only with
+/// numbers that are not finite.
+const MAX_TRIALS: usize = 600;
 
 /// The state of an iteration within a rectangle of parameters.
 pub(crate) struct Iterate<'a> {
@@ -72,7 +75,7 @@ impl<'a> Iterate<'a> {
     /// Takes one step; `jet` evaluates the surface.
     #[inline]
     pub fn advance(&mut self, rectangle: Rectangle, jet: impl Fn(f64, f64) -> SurfaceJet) -> Progress {
-        loop {
+        for _ in 0..MAX_TRIALS {
             let s = self.step(rectangle);
             let settled = s.length <= NO_STEP * self.size;
             if settled || (!s.newton && s.decrease <= 4.0 * f64::EPSILON * self.squared) {
@@ -104,6 +107,7 @@ impl<'a> Iterate<'a> {
                 return Progress::Moved;
             }
         }
+        Progress::Converged
     }
 
     /// The minimum of the model over the steps within the rectangle and the trust region.

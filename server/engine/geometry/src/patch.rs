@@ -40,7 +40,7 @@ impl PatchInput {
             if weights.len() != count {
                 return Err(ComponentError::WeightCount { patch: name(), weights: weights.len(), count });
             }
-            if let Some(index) = weights.iter().position(|w| !w.is_finite() || *w <= 0.0) {
+            if let Some(index) = weights.iter().position(|w| !(1e-9..=1e9).contains(w)) {
                 return Err(ComponentError::Weight { patch: name(), index, value: weights[index] });
             }
         }

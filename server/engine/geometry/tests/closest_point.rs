@@ -245,3 +245,90 @@ fn foot_points_along_an_edge() {
         assert!((other.distance.abs() - foot.distance.abs()).abs() < 1e-12);
     }
 }
+
+/// Runs a search on a stack that unbounded recursion would exhaust at once.
+fn on_a_small_stack(search: impl FnOnce() + Send + 'static) {
+    let thread = std::thread::Builder::new().stack_size(512 << 10).spawn(search).expect("a thread");
+    thread.join().expect("the search ends");
+}
+
+#[test]
+fn far_from_the_origin_searches_end_and_are_as_exact_as_the_coordinates() {
+    // From 100 m on, halved pieces of a body of a few metres no longer become smaller than 1e-14 of it.
+    on_a_small_stack(|| {
+        let mut random = Random::new(61);
+        let d = Vector3::new(2.5, 0.5, 1.0);
+        for far in [1e2, 1e4, 1e6, 1e9, 1e12] {
+            let c = Vector3::new(far, -0.3 * far, 0.1 * far);
+            for here in [
+                Primitive::Sphere { center: Vector3::zeros(), radius: 1.3 },
+                Primitive::Cylinder { start: Vector3::zeros(), end: d, radius: 0.4 },
+                Primitive::Capsule { start: Vector3::zeros(), end: d, radius: 0.4 },
+            ] {
+                // Moved as a design moves them: the patches fit at the origin, and far away no longer to the last bit.
+                let (component, points) = Component::primitive("p".into(), &here).expect("valid");
+                let moved = |p: &[f64; 4]| [p[0] + p[3] * c.x, p[1] + p[3] * c.y, p[2] + p[3] * c.z, p[3]];
+                let b = Body::new(component.into(), points.iter().map(moved).collect());
+                let near = scattered(&b, 60, &mut random);
+                let from_afar = (0..20).map(|_| random.vector(3.0));
+                for x in near.into_iter().chain(from_afar).chain([c, c + d * 0.5]) {
+                    let (ours, exact) = (b.signed_distance(&x), here.signed_distance(&(x - c)));
+                    let rounding = 1e-12 * b.size() + 64.0 * f64::EPSILON * far;
+                    assert!(
+                        (ours.abs() - exact.abs()).abs() <= rounding,
+                        "{here:?} at {x:?}: {ours}, {exact}"
+                    );
+                }
+            }
+        }
+    });
+}
+
+#[test]
+fn searches_end_whatever_the_control_points() {
+    on_a_small_stack(|| {
+        let patches = wing_patches(Trailing::Wedge);
+        let wing = body("wing", patches);
+        let mut random = Random::new(62);
+        let extremes = [0.0, 1e-300, 1e-160, 1e150, 1e200, 1e308, f64::INFINITY, f64::NAN];
+        for extreme in extremes {
+            let mut points = wing.control_points().to_vec();
+            for point in points.iter_mut().step_by(7) {
+                point[0] = extreme;
+            }
+            let spoilt = Body::new(wing.component().clone(), points);
+            let all = Body::new(
+                wing.component().clone(),
+                wing.control_points().iter().map(|p| [p[0] * extreme, p[1] * extreme, p[2], p[3]]).collect(),
+            );
+            for b in [spoilt, all] {
+                for x in [random.vector(1.0), random.vector(20.0), Vector3::repeat(extreme)] {
+                    let foot = b.closest_point(&x);
+                    assert!((foot.location.patch as usize) < b.component().patches().len());
+                    b.closest_point_near(&x, &foot.location);
+                }
+            }
+        }
+    });
+}
+
+#[test]
+fn patches_of_absurd_size_or_weights_are_refused() {
+    let scaled = |scale: f64| {
+        let mut patches = wing_patches(Trailing::Wedge);
+        patches.iter_mut().for_each(|p| p.control_points.iter_mut().for_each(|c| *c = c.map(|x| x * scale)));
+        Component::new("wing".into(), patches, &ComponentOptions::default())
+    };
+    assert!(scaled(1e-20).is_ok() && scaled(1e20).is_ok());
+    for scale in [1e-40, 1e40, 1e300] {
+        let error = scaled(scale).expect_err("too small or too large");
+        assert!(matches!(error, ComponentError::Size { .. }), "{error}");
+    }
+    for weight in [0.0, -1.0, 1e-10, 1e10, f64::NAN] {
+        let mut patches = wing_patches(Trailing::Wedge);
+        let count = patches[0].control_points.len();
+        patches[0].weights = Some((0..count).map(|i| if i == 5 { weight } else { 1.0 }).collect());
+        let error = Component::new("wing".into(), patches, &ComponentOptions::default()).expect_err("weight");
+        assert!(matches!(error, ComponentError::Weight { index: 5, .. }), "{error}");
+    }
+}

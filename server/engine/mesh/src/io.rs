@@ -4,11 +4,13 @@
 //! byte offset of the fault. Cells other than triangles and quadrilaterals are left out and counted.
 
 mod cursor;
+#[cfg(test)]
+mod linear;
 pub mod msh;
 pub mod stl;
 pub mod vtu;
 
-use std::fmt;
+use std::{collections::HashMap, fmt};
 
 use thiserror::Error;
 
@@ -116,6 +118,14 @@ impl ReadError {
     }
 }
 
+/// Notes that a reader has looked at so many bytes or entries. Tests compare the sum with the length of the input.
+fn looked_at(count: usize) {
+    #[cfg(test)]
+    linear::LOOKED_AT.with(|sum| sum.set(sum.get() + count));
+    #[cfg(not(test))]
+    let _ = count;
+}
+
 /// A reader's raw result: nodes that cells may or may not use, and groups whose indices may repeat.
 #[derive(Default)]
 struct Draft {
@@ -123,9 +133,32 @@ struct Draft {
     positions: Vec<[f64; 3]>,
     /// Cells, as indices of `positions`.
     cells: Vec<Cell>,
-    cell_groups: Vec<Group>,
-    vertex_groups: Vec<Group>,
+    cell_groups: Groups,
+    vertex_groups: Groups,
     ignored_cells: usize,
+}
+
+/// Groups in order of appearance, found by name.
+#[derive(Default)]
+struct Groups {
+    list: Vec<Group>,
+    numbers: HashMap<String, usize>,
+}
+
+impl Groups {
+    /// Adds indices to the group of that name, which may be new.
+    fn add(&mut self, name: &str, indices: impl IntoIterator<Item = u32>) {
+        looked_at(1 + name.len());
+        let number = match self.numbers.get(name) {
+            Some(&number) => number,
+            None => {
+                self.numbers.insert(name.to_owned(), self.list.len());
+                self.list.push(Group { name: name.to_owned(), indices: Vec::new() });
+                self.list.len() - 1
+            }
+        };
+        self.list[number].indices.extend(indices);
+    }
 }
 
 impl Draft {
@@ -149,26 +182,18 @@ impl Draft {
         for cell in &mut self.cells {
             *cell = cell.map(|vertex| number[vertex as usize]);
         }
-        for group in &mut self.vertex_groups {
+        for group in &mut self.vertex_groups.list {
             for index in &mut group.indices {
                 *index = number[*index as usize];
             }
             group.indices.retain(|&index| index != UNUSED);
         }
-        for group in self.vertex_groups.iter_mut().chain(&mut self.cell_groups) {
+        for group in self.vertex_groups.list.iter_mut().chain(&mut self.cell_groups.list) {
             group.indices.sort_unstable();
             group.indices.dedup();
         }
         let Self { ids, positions, cells, cell_groups, vertex_groups, ignored_cells } = self;
-        let mesh = SurfaceMesh::with_limits(positions, cells, cell_groups, vertex_groups, limits)?;
+        let mesh = SurfaceMesh::with_limits(positions, cells, cell_groups.list, vertex_groups.list, limits)?;
         Ok(Imported { mesh, vertex_ids: ids, ignored_vertices, ignored_cells })
-    }
-}
-
-/// Adds indices to the group of that name, which may be new.
-fn add_to_group(groups: &mut Vec<Group>, name: &str, indices: impl IntoIterator<Item = u32>) {
-    match groups.iter_mut().find(|group| group.name == name) {
-        Some(group) => group.indices.extend(indices),
-        None => groups.push(Group { name: name.to_owned(), indices: indices.into_iter().collect() }),
     }
 }

@@ -27,6 +27,13 @@ pub struct PoolLimits {
     pub running: usize,
     /// Tasks that wait for their turn; more are rejected.
     pub queued: usize,
+    /// Longest time that a task may run. Then it is cancelled, and its caller told so.
+    pub work: Duration,
+}
+
+impl PoolLimits {
+    /// The usual limit of the time that a task may run: minutes more than the largest set-ups need.
+    pub const WORK: Duration = Duration::from_secs(600);
 }
 
 /// The result of a task, and its times.
@@ -157,14 +164,15 @@ impl ComputePool {
     /// cancellation flag; the place is free when the work has actually ended.
     ///
     /// # Errors
-    /// `ResourceExhausted` if the queue or the tenant's share of it is full, `Internal` if `work` panics, and what `work`
-    /// returns.
+    /// `ResourceExhausted` if the queue or the tenant's share of it is full, `DeadlineExceeded` if `work` runs longer than the
+    /// limit, `Internal` if it panics, and what it returns.
     pub async fn run<T: Send + 'static>(
         &self,
         task: Task,
         work: impl FnOnce(&Ticket) -> Result<T, ServiceError> + Send + 'static,
     ) -> Result<Completed<T>, ServiceError> {
         let arrival = Instant::now();
+        let kind = task.kind;
         let (place, turn) = self.queue.enter(task)?;
         turn.await.map_err(|_| gone())?;
 
@@ -187,9 +195,15 @@ impl ComputePool {
             // There is no receiver if the caller has gone.
             let _ = sender.send(completed);
         });
-        let completed = receiver.await.map_err(|_| gone())?;
+        // The time before a thread is free counts, too: it is spent on tasks that have the same limit.
+        let limit = self.queue.limits.work;
+        let completed = tokio::time::timeout(limit, receiver).await;
+        // Cancels the task if it still runs.
         drop(interest);
-        completed
+        match completed {
+            Ok(completed) => completed.map_err(|_| gone())?,
+            Err(_) => Err(took_too_long(kind, limit)),
+        }
     }
 
     /// The sizes in force.
@@ -295,6 +309,15 @@ fn full(message: String) -> ServiceError {
     ServiceError::new(Code::ResourceExhausted, message).retry_after(Duration::from_secs(1))
 }
 
+fn took_too_long(kind: &str, limit: Duration) -> ServiceError {
+    let message = format!(
+        "`{kind}` took longer than the {} s that one piece of work may take on this server, and was given up; send a \
+         coarser mesh, fewer training vertices or fewer directions at a time, or let the server allow more (--max-work)",
+        limit.as_secs_f64()
+    );
+    ServiceError::new(Code::DeadlineExceeded, message)
+}
+
 fn gone() -> ServiceError {
     ServiceError::new(Code::Internal, "the compute pool has been shut down")
 }
@@ -314,8 +337,12 @@ mod tests {
     use super::*;
     use moldline_testing::eventually;
 
+    fn limits(threads: usize, running: usize, queued: usize) -> PoolLimits {
+        PoolLimits { threads, running, queued, work: PoolLimits::WORK }
+    }
+
     fn pool(running: usize, queued: usize) -> Arc<ComputePool> {
-        Arc::new(ComputePool::new(PoolLimits { threads: 2, running, queued }, usize::MAX).unwrap())
+        Arc::new(ComputePool::new(limits(2, running, queued), usize::MAX).unwrap())
     }
 
     fn of(tenant: &str) -> Task {
@@ -346,6 +373,25 @@ mod tests {
             .unwrap_err();
         assert_eq!(error.code, Code::Internal);
         assert_eq!(pool.load(), 0);
+    }
+
+    #[tokio::test]
+    async fn work_beyond_its_time_is_cancelled_and_its_caller_told() {
+        let limits = PoolLimits { work: Duration::from_millis(50), ..limits(2, 1, 1) };
+        let pool = ComputePool::new(limits, usize::MAX).unwrap();
+        let error = pool
+            .run(of("a"), |ticket| {
+                while !ticket.cancellation().requested() {
+                    std::thread::sleep(Duration::from_millis(1));
+                }
+                Ok(())
+            })
+            .await
+            .unwrap_err();
+        assert_eq!(error.code, Code::DeadlineExceeded);
+        assert!(error.message.contains("0.05 s") && error.message.contains("--max-work"), "{error}");
+        eventually("idle pool", async || (pool.load() == 0).then_some(())).await;
+        assert_eq!(pool.run(of("a"), |_| Ok(7)).await.unwrap().value, 7);
     }
 
     #[tokio::test]
@@ -435,7 +481,7 @@ mod tests {
 
     #[tokio::test]
     async fn one_tenant_cannot_fill_the_queue() {
-        let limits = PoolLimits { threads: 1, running: 1, queued: 8 };
+        let limits = limits(1, 1, 8);
         let pool = Arc::new(ComputePool::new(limits, 2).unwrap());
         let (release, blocked) = mpsc::channel::<()>();
         let mut all = vec![tokio::spawn({

@@ -15,6 +15,7 @@ mod extract;
 mod health;
 mod listen;
 pub mod media;
+mod methods;
 mod metrics;
 pub mod npy;
 mod observe;

@@ -71,7 +71,7 @@ pub async fn layer(State(trace): State<Trace>, mut request: Request, next: Next)
     response.headers_mut().insert(REQUEST_ID, id);
     let status = response.status();
     let grpc = response.headers().get("grpc-status").and_then(grpc_code);
-    // Arbitrary unknown names would fill the memory.
+    // A method of another service is none of this one.
     if let Some(Rpc(name)) = response.extensions_mut().remove::<Rpc>()
         && grpc != Some(tonic::Code::Unimplemented)
     {

@@ -28,6 +28,7 @@ use crate::{
     error_response::{ErrorResponse, is_grpc, reject},
     health::Health,
     media::SHAPE,
+    methods,
     observe::{self, REQUEST_ID, Rpc, Trace},
 };
 
@@ -136,9 +137,11 @@ async fn name_http(
 }
 
 async fn name_grpc(request: Request, next: Next) -> Response {
-    let name = request.uri().path().rsplit('/').next().unwrap_or_default().to_owned();
+    let name = methods::name_of(request.uri().path());
     let mut response = next.run(request).await;
-    response.extensions_mut().insert(Rpc(name));
+    if let Some(name) = name {
+        response.extensions_mut().insert(Rpc(name.to_owned()));
+    }
     response
 }
 

@@ -356,6 +356,45 @@ async fn metrics_are_for_administrators_and_probes_for_everybody() {
     health.check(tonic_health::pb::HealthCheckRequest::default()).await.unwrap();
 }
 
+#[tokio::test]
+async fn names_that_callers_invent_become_no_labels() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("tokens.json");
+    let principal = Principal { tenant: Tenant::new("anna").unwrap(), role: Role::Admin };
+    let admin = format!("Bearer {}", create(&path, &principal, None).unwrap());
+    let access = Access { tokens: Some(TokenFile::open(&path).unwrap()), certificates: false };
+    let server = Server::with(access, Limits::default()).await;
+    let metrics = async || {
+        let answer = server.ask("GET", "/metrics", &[("authorization", &admin)], b"").await;
+        String::from_utf8(answer.body).unwrap()
+    };
+    let call = async |number: usize, kind: &str, credential: &[(&str, &str)]| {
+        let headers = [&[("content-type", kind)], credential].concat();
+        for service in ["MeshService", "PanelService", "OtherService"] {
+            let path = format!("/moldline.v1.{service}/Invented{number}");
+            server.ask("POST", &path, &headers, b"").await;
+        }
+        server.ask("POST", &format!("/v1/invented{number}"), &headers, b"").await;
+        server.ask("POST", &format!("/grpc.health.v1.Health/Invented{number}"), &headers, b"").await;
+    };
+    let credential = [("authorization", admin.as_str())];
+    let round = async |number: usize| {
+        for kind in
+            ["application/grpc-web", "application/grpc-web-text", "application/grpc", "application/json"]
+        {
+            call(number, kind, &[]).await;
+            call(number, kind, &credential).await;
+        }
+    };
+    for number in 0..4 {
+        round(number).await;
+    }
+    // One recorder has the metrics of all tests here, so that only names can be compared.
+    let metrics = metrics().await;
+    assert!(!metrics.to_lowercase().contains("invented"), "{metrics}");
+    assert!(metrics.contains("rpc=\"unknown\""), "{metrics}");
+}
+
 /// A certificate authority that signs certificates.
 struct Authority {
     issuer: rcgen::CertifiedIssuer<'static, rcgen::KeyPair>,

@@ -15,7 +15,7 @@ use tonic::transport::Channel;
 
 pub use moldline_testing::ball;
 
-const POOL: PoolLimits = PoolLimits { threads: 2, running: 2, queued: 8 };
+const POOL: PoolLimits = PoolLimits { threads: 2, running: 2, queued: 8, work: PoolLimits::WORK };
 
 pub struct Server {
     pub address: SocketAddr,

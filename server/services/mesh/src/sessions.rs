@@ -38,8 +38,11 @@ impl Service {
                 return Ok(view(&id, session));
             }
             if self.store.session_at(tenant.as_str(), &id, 1).await?.is_some() {
-                // A retry that comes after the session was closed.
-                return Err(ServiceError::not_found("session", &id));
+                // It has been opened: by a copy of the same request in between, or it is closed by now.
+                return match self.store.session(tenant.as_str(), &id).await? {
+                    Some(session) => Ok(view(&id, session)),
+                    None => Err(ServiceError::not_found("session", &id)),
+                };
             }
         }
         let (open, limit) = (self.store.sessions(tenant.as_str()).await?.len(), self.limits.sessions);

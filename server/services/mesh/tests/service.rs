@@ -16,7 +16,8 @@ use moldline_mesh_service::{
 use moldline_testing::{ball, eventually};
 
 fn service(threads: usize, limits: Limits) -> Service {
-    Service::new(PoolLimits { threads, running: threads, queued: 16 }, limits).unwrap()
+    Service::new(PoolLimits { threads, running: threads, queued: 16, work: PoolLimits::WORK }, limits)
+        .unwrap()
 }
 
 fn local() -> Principal {
@@ -380,7 +381,7 @@ fn last_file(folder: &Path) -> PathBuf {
 async fn a_damaged_record_affects_nothing_else_and_can_be_rewritten() {
     let folder = tempfile::tempdir().unwrap();
     let store = Store::open(folder.path().to_str().unwrap()).await.unwrap();
-    let limits = PoolLimits { threads: 1, running: 1, queued: 16 };
+    let limits = PoolLimits { threads: 1, running: 1, queued: 16, work: PoolLimits::WORK };
     let service = Service::with_store(store, limits, Limits::default()).unwrap();
     let (good, bad) = (create(&service, "good").await.unwrap(), create(&service, "bad").await.unwrap());
     let (whole, damaged) = (open(&service, &good).await, open(&service, &good).await);
@@ -403,4 +404,31 @@ async fn a_damaged_record_affects_nothing_else_and_can_be_rewritten() {
     assert!(service.get_setup(&local(), &bad).await.unwrap().access.owned);
     service.close_session(&local(), &damaged).await.unwrap();
     assert_eq!(service.get_session(&local(), &damaged).await.unwrap_err().code, Code::NotFound);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn copies_of_one_opening_at_the_same_time_get_one_session() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = Store::open(folder.path().to_str().unwrap()).await.unwrap();
+    let limits = PoolLimits { threads: 1, running: 1, queued: 16, work: PoolLimits::WORK };
+    let service = Arc::new(Service::with_store(store, limits, Limits::default()).unwrap());
+    let setup = create(&service, "one").await.unwrap();
+    for round in 0..60 {
+        let copies: Vec<_> = (0..8)
+            .map(|_| {
+                let (service, setup) = (Arc::clone(&service), setup.clone());
+                tokio::spawn(async move {
+                    service.open_session(&local(), &setup, "", &format!("round {round}")).await
+                })
+            })
+            .collect();
+        let mut ids = Vec::new();
+        for copy in copies {
+            ids.push(copy.await.unwrap().unwrap().id);
+        }
+        assert!(ids.iter().all(|id| *id == ids[0]), "{ids:?}");
+        service.close_session(&local(), &ids[0]).await.unwrap();
+        let late = service.open_session(&local(), &setup, "", &format!("round {round}")).await.unwrap_err();
+        assert_eq!(late.code, Code::NotFound, "the session is closed");
+    }
 }

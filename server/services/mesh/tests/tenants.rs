@@ -23,7 +23,7 @@ fn user(name: &str) -> Principal {
 }
 
 fn on(store: &Store, limits: Limits) -> Service {
-    let pool = PoolLimits { threads: 2, running: 2, queued: 16 };
+    let pool = PoolLimits { threads: 2, running: 2, queued: 16, work: PoolLimits::WORK };
     Service::with_store(store.clone(), pool, limits).unwrap()
 }
 

@@ -346,6 +346,13 @@ impl PanelService {
                                    send at.geometry with it";
                 ServiceError::new(Code::NotFound, "").at("at.analysis_id", description)
             })?;
+            if found.configuration != configuration.id {
+                let description = format!(
+                    "is an analysis of the configuration `{}`, not of `{}`; name that configuration, or send at.geometry",
+                    found.configuration, configuration.id
+                );
+                return Err(ServiceError::invalid("at.analysis_id", description));
+            }
             return Ok((found, true, Timing::default()));
         };
         let arrival = Instant::now();

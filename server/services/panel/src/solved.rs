@@ -15,6 +15,8 @@ use crate::{
 pub struct Solved {
     /// Hash of configuration, vertices and Mach number.
     pub id: String,
+    /// Id of the configuration that it is a solution of.
+    pub configuration: String,
     /// The solution with its factored system.
     pub solution: Arc<Solution>,
     /// Residual after each round of the solver.
@@ -45,6 +47,12 @@ impl Solved {
         let reporter = reporter(cancellation.clone(), tell);
         let solution = configuration.setup.solve(vertices, mach, &reporter)?;
         claim.shrink(solution.bytes());
-        Ok(Self { id, solution: Arc::new(solution), residuals: reporter.residuals(), _claim: claim })
+        Ok(Self {
+            id,
+            configuration: configuration.id.clone(),
+            solution: Arc::new(solution),
+            residuals: reporter.residuals(),
+            _claim: claim,
+        })
     }
 }

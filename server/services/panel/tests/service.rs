@@ -12,7 +12,11 @@ use moldline_panel_service::{AnalysisPoint, Definition, Geometry, Limits, PanelS
 use moldline_testing::{Wing, eventually, sphere};
 
 fn service(limits: Limits) -> Arc<PanelService> {
-    let pool = ComputePool::new(PoolLimits { threads: 2, running: 2, queued: 8 }, usize::MAX).unwrap();
+    let pool = ComputePool::new(
+        PoolLimits { threads: 2, running: 2, queued: 8, work: PoolLimits::WORK },
+        usize::MAX,
+    )
+    .unwrap();
     Arc::new(PanelService::new(Arc::new(pool), limits))
 }
 
@@ -109,6 +113,24 @@ async fn ids_follow_content_and_concurrent_requests_share_their_work() {
     assert!(Arc::ptr_eq(&one.solved, &two.solved) && one.reused != two.reused);
     let explicit = Geometry { vertices: Some(wing().vertices), mach: 0.3 };
     assert!(service.analyse(&caller, id, explicit, vec![flow(0.1)], |_| {}).await.unwrap().reused);
+}
+
+#[tokio::test]
+async fn a_derivative_names_an_analysis_of_its_own_configuration() {
+    let service = service(Limits::default());
+    let caller = Principal::local();
+    let mut other = wing();
+    other.options.tolerance = 1e-10;
+    let one = service.create_configuration(&caller, wing()).await.unwrap().configuration.id.clone();
+    let two = service.create_configuration(&caller, other).await.unwrap().configuration.id.clone();
+    let analysed = service.analyse(&caller, &one, still(0.2), vec![flow(0.05)], |_| {}).await.unwrap();
+    let at = || AnalysisPoint { analysis_id: analysed.solved.id.clone(), geometry: None, flow: flow(0.05) };
+    service.vjp(&caller, &one, at(), vec![Outputs::default()]).await.unwrap();
+    let error = service.vjp(&caller, &two, at(), vec![Outputs::default()]).await.unwrap_err();
+    assert_eq!((error.code, error.violations[0].field.as_str()), (Code::InvalidArgument, "at.analysis_id"));
+    assert!(error.message.contains(&one), "{error}");
+    let error = service.jvp(&caller, &two, at(), vec![Inputs::default()]).await.unwrap_err();
+    assert_eq!(error.code, Code::InvalidArgument);
 }
 
 #[tokio::test]

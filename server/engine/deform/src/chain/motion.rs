@@ -15,7 +15,7 @@ use super::{
     seams::{SeamPoint, SeamSolver, SeamTangents},
 };
 use crate::{
-    DeformError, Propagation,
+    DeformError, Monitor, Propagation, Stage,
     chart::Chart,
     error::{LISTED, VertexDistance},
 };
@@ -124,8 +124,13 @@ impl Motions {
     ///
     /// # Errors
     /// [`DeformError::FootPoint`] for vertices that a chart does not find again.
-    pub fn eval(&self, points: &[SeamPoint], bodies: &[Body]) -> Result<Vec<Block>, DeformError> {
-        self.fields.iter().map(|field| self.eval_field(field, points, bodies)).collect()
+    pub fn eval(
+        &self,
+        points: &[SeamPoint],
+        bodies: &[Body],
+        monitor: &dyn Monitor<Stage>,
+    ) -> Result<Vec<Block>, DeformError> {
+        self.fields.iter().map(|field| self.eval_field(field, points, bodies, monitor)).collect()
     }
 
     fn eval_field(
@@ -133,10 +138,14 @@ impl Motions {
         field: &Motion,
         points: &[SeamPoint],
         bodies: &[Body],
+        monitor: &dyn Monitor<Stage>,
     ) -> Result<Block, DeformError> {
         let mut motion = Block::zeros(self.seams, field.measure.columns());
         let mut lost = Vec::new();
         for Member { vertex, seam, owner, from, start, .. } in &field.members {
+            if monitor.cancelled() {
+                return Err(DeformError::Cancelled);
+            }
             let (row, point) = (motion.row_mut(*seam), &points[*seam]);
             let to = &point.locations[*owner];
             match &field.measure {

@@ -17,7 +17,7 @@ use super::{
     seams::{SeamPoint, SeamSolver, SeamTangents},
 };
 use crate::{
-    DeformError, Propagation,
+    DeformError, Monitor, Propagation, Stage,
     chart::Chart,
     ownership::{Attachment, Freedom, Ownership},
     symmetry::InPlane,
@@ -126,6 +126,7 @@ impl Placement {
         values: &[Block],
         seams: &[SeamPoint],
         bodies: &[Body],
+        monitor: &dyn Monitor<Stage>,
     ) -> Result<Vec<Placed>, DeformError> {
         let results: Vec<Result<Placed, f64>> = self
             .ownership
@@ -133,6 +134,9 @@ impl Placement {
             .into_par_iter()
             .zip(&self.rules)
             .map(|(v, rule)| {
+                if monitor.cancelled() {
+                    return Err(f64::NAN);
+                }
                 let value = fields.value(values, v);
                 let placed = self.eval_vertex(v, rule, value, seams, bodies)?;
                 match rule {
@@ -141,6 +145,9 @@ impl Placement {
                 }
             })
             .collect();
+        if monitor.cancelled() {
+            return Err(DeformError::Cancelled);
+        }
         foot::all_found(results, &self.ownership, bodies)
     }
 

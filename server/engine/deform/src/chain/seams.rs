@@ -162,10 +162,14 @@ impl SeamSolver {
             .par_iter()
             .enumerate()
             .filter_map(|(i, v)| match &v.search {
+                SeamSearch::Junction(_) if monitor.cancelled() => None,
                 SeamSearch::Junction(junction) => Some((i, self.junction(v, junction, bodies))),
                 SeamSearch::Line(_) => None,
             })
             .collect();
+        if monitor.cancelled() {
+            return Err(DeformError::Cancelled);
+        }
         let mut found: Vec<Option<Result<SeamPoint, f64>>> = vec![None; self.vertices.len()];
         for (i, point) in junctions {
             found[i] = Some(point);

@@ -11,7 +11,7 @@ use super::{
     foot::{self, Foot, Placed},
     parallel::{by_direction, gather},
 };
-use crate::{DeformError, SmoothingOptions, ownership::Ownership, symmetry::InPlane};
+use crate::{DeformError, Monitor, SmoothingOptions, Stage, ownership::Ownership, symmetry::InPlane};
 
 /// The smoothing of a set-up.
 #[derive(Clone, Debug)]
@@ -48,7 +48,12 @@ impl Smoothing {
     ///
     /// # Errors
     /// [`DeformError::FootPoint`] naming vertices that have no foot point on their sheet.
-    pub fn eval(&self, placed: &[Placed], bodies: &[Body]) -> Result<Vec<Vec<Placed>>, DeformError> {
+    pub fn eval(
+        &self,
+        placed: &[Placed],
+        bodies: &[Body],
+        monitor: &dyn Monitor<Stage>,
+    ) -> Result<Vec<Vec<Placed>>, DeformError> {
         let mut rounds: Vec<Vec<Placed>> = Vec::with_capacity(self.options.rounds);
         let Some(laplacian) = &self.laplacian else { return Ok(rounds) };
         let mut smoothed = vec![[0.0; 3]; self.free.len()];
@@ -62,7 +67,7 @@ impl Smoothing {
                 .into_par_iter()
                 .zip(vertices.par_iter().zip(&smoothed))
                 .map(|(v, (before, x))| {
-                    if !self.free[v as usize] {
+                    if !self.free[v as usize] || monitor.cancelled() {
                         return Ok(*before);
                     }
                     let own = self.ownership.first(v);
@@ -73,6 +78,9 @@ impl Smoothing {
                     Ok(Placed { position, location: foot.location, aim })
                 })
                 .collect();
+            if monitor.cancelled() {
+                return Err(DeformError::Cancelled);
+            }
             rounds.push(foot::all_found(results, &self.ownership, bodies)?);
         }
         Ok(rounds)

@@ -2,7 +2,7 @@
 
 use std::str::FromStr;
 
-use super::{Place, ReadError};
+use super::{Place, ReadError, looked_at};
 
 /// Coding of numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -68,6 +68,7 @@ impl<'a> Cursor<'a> {
     pub(super) fn line(&mut self) -> &'a [u8] {
         let rest = self.rest();
         let length = rest.iter().position(|&byte| byte == b'\n').unwrap_or(rest.len());
+        looked_at(length);
         self.position += (length + 1).min(rest.len());
         rest[..length].trim_ascii()
     }
@@ -81,6 +82,7 @@ impl<'a> Cursor<'a> {
 
     pub(super) fn take(&mut self, length: usize, expected: &str) -> Result<&'a [u8], ReadError> {
         let taken = self.rest().get(..length).ok_or_else(|| self.truncated(expected))?;
+        looked_at(length);
         self.position += length;
         Ok(taken)
     }
@@ -140,5 +142,6 @@ impl<'a> Cursor<'a> {
 }
 
 pub(super) fn line_of(bytes: &[u8], position: usize) -> Place {
+    looked_at(position);
     Place::Line(1 + bytes[..position].iter().filter(|&&byte| byte == b'\n').count())
 }

@@ -3,11 +3,13 @@
 use std::{
     collections::{BTreeMap, HashMap},
     fmt::Write,
+    rc::Rc,
 };
 
 use super::{
-    Draft, Imported, ReadError, add_to_group,
+    Draft, Imported, ReadError,
     cursor::{Coding, Cursor},
+    looked_at,
 };
 use crate::{Cell, Csr, Limits, SurfaceMesh, Topology};
 
@@ -54,6 +56,11 @@ mod element {
     }
 }
 
+/// Longest name of a section, bytes.
+const SECTION_NAME: usize = 64;
+/// Members of groups for each byte of the file: a cell of an entity is a member of all the entity's groups.
+const MEMBERSHIPS: usize = 4;
+
 struct Reader<'a> {
     cursor: Cursor<'a>,
     limits: &'a Limits,
@@ -61,12 +68,14 @@ struct Reader<'a> {
     /// Coding of the numbers inside sections that may be binary.
     coding: Coding,
     names: HashMap<(i32, i32), String>,
-    /// Physical tags of each entity, by dimension and tag.
-    physicals: HashMap<(i32, i32), Vec<i32>>,
+    /// Physical tags of each entity, by dimension and tag; none twice.
+    physicals: HashMap<(i32, i32), Rc<[i32]>>,
     /// Node tags to indices.
     nodes: HashMap<u64, u32>,
     /// Cells or vertices of each physical group, by dimension and tag.
     members: BTreeMap<(i32, i32), Vec<u32>>,
+    /// Entries of all of these.
+    memberships: usize,
     /// Version 2 repeats a cell for each of its groups: cells by their sorted nodes.
     known: HashMap<[u32; 4], u32>,
     draft: Draft,
@@ -112,6 +121,7 @@ impl<'a> Reader<'a> {
             physicals: HashMap::new(),
             nodes: HashMap::new(),
             members: BTreeMap::new(),
+            memberships: 0,
             known: HashMap::new(),
             draft: Draft::default(),
         })
@@ -126,7 +136,8 @@ impl<'a> Reader<'a> {
         }
         let at = self.cursor.position;
         let word = self.cursor.word("a section")?;
-        let Some(name) = word.strip_prefix(b"$") else {
+        let name = word.strip_prefix(b"$").filter(|name| name.len() <= SECTION_NAME);
+        let Some(name) = name else {
             return Err(ReadError::unexpected(self.cursor.place_of(at), "a section such as $Nodes", word));
         };
         self.cursor.line();
@@ -147,6 +158,8 @@ impl<'a> Reader<'a> {
     fn skip_section(&mut self, name: &[u8]) -> Result<(), ReadError> {
         let end = [b"$End", name].concat();
         let found = self.cursor.rest().windows(end.len()).position(|window| window == end);
+        // Each window may have to be compared to its end.
+        looked_at(end.len() * found.unwrap_or(self.cursor.rest().len()));
         match found {
             Some(length) => {
                 self.cursor.position += length + end.len();
@@ -190,8 +203,10 @@ impl<'a> Reader<'a> {
                 for _ in 0..coordinates {
                     self.cursor.real("an entity's bounds")?;
                 }
-                let physicals = self.tags("a physical tag")?;
-                self.physicals.insert((dimension, tag), physicals);
+                let mut physicals = self.tags("a physical tag")?;
+                physicals.sort_unstable();
+                physicals.dedup();
+                self.physicals.insert((dimension, tag), physicals.into());
                 if dimension > 0 {
                     self.tags("a bounding entity")?;
                 }
@@ -306,7 +321,7 @@ impl<'a> Reader<'a> {
             let (kind, nodes) = self.element_type()?;
             let count = self.cursor.size("a count of elements")?;
             let count = self.cursor.check_count("elements", count, 1 + nodes, 8 * (1 + nodes), usize::MAX)?;
-            let physicals = self.physicals.get(&(dimension, tag)).cloned().unwrap_or_default();
+            let physicals = self.physicals.get(&(dimension, tag)).map_or_else(Rc::default, Rc::clone);
             for _ in 0..count {
                 self.cursor.size("an element's tag")?;
                 self.element(kind, nodes, &physicals, |cursor| cursor.size("a node's tag"))?;
@@ -440,6 +455,14 @@ impl<'a> Reader<'a> {
                 let (place, what) = (self.cursor.place(), "physical groups");
                 return Err(ReadError::TooMany { place, what, count: limit + 1, limit });
             }
+            looked_at(1 + members.len());
+            self.memberships += members.len();
+            let limit = MEMBERSHIPS * self.cursor.bytes.len();
+            if self.memberships > limit {
+                let (place, what) = (self.cursor.place(), "members of physical groups");
+                let (count, limit) = (self.memberships as u64, limit as u64);
+                return Err(ReadError::TooMany { place, what, count, limit });
+            }
             self.members.entry(key).or_default().extend(members);
         }
         Ok(())
@@ -454,7 +477,7 @@ impl<'a> Reader<'a> {
             let name = name.cloned().unwrap_or_else(|| format!("physical {tag}"));
             let draft = &mut self.draft;
             let groups = if dimension == 2 { &mut draft.cell_groups } else { &mut draft.vertex_groups };
-            add_to_group(groups, &name, members);
+            groups.add(&name, members);
         }
         self.draft.finish(self.limits)
     }

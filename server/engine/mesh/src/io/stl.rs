@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use super::{Draft, Imported, Place, ReadError, add_to_group, cursor::Cursor};
+use super::{Draft, Imported, Place, ReadError, cursor::Cursor};
 use crate::{Cell, Limits, grid::HashGrid};
 
 /// Reads ASCII or binary STL and merges vertices: equal ones, and those within `tolerance` (m, 0 for equal only) of an earlier
@@ -149,8 +149,8 @@ impl<'a> Merger<'a> {
         over("vertices", draft.positions.len(), self.limits.vertices)?;
         over("cells", draft.cells.len() + 1, self.limits.cells)?;
         if !solid.is_empty() {
-            add_to_group(&mut draft.cell_groups, solid, [draft.cells.len() as u32]);
-            over("cell groups", draft.cell_groups.len(), self.limits.groups)?;
+            draft.cell_groups.add(solid, [draft.cells.len() as u32]);
+            over("cell groups", draft.cell_groups.list.len(), self.limits.groups)?;
         }
         let [a, b, c] = cell;
         draft.cells.push(Cell::triangle(a, b, c));
@@ -187,7 +187,7 @@ impl<'a> Merger<'a> {
         let numbers: Vec<u32> = draft.cells.iter().map(number).collect();
         draft.ignored_cells = draft.cells.len() - kept as usize;
         draft.cells.retain(|cell| !collapsed(cell));
-        for group in &mut draft.cell_groups {
+        for group in &mut draft.cell_groups.list {
             group.indices.iter_mut().for_each(|index| *index = numbers[*index as usize]);
             group.indices.retain(|&index| index != DROPPED);
         }

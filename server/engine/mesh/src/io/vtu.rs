@@ -9,7 +9,7 @@ use self::{
     data::{ArrayTag, File},
     xml::{Scanner, Tag},
 };
-use super::{Draft, Imported, Place, ReadError, add_to_group};
+use super::{Draft, Imported, Place, ReadError};
 use crate::{Cell, Group, Limits, SurfaceMesh};
 
 /// Prefix of the names of arrays that hold groups.
@@ -222,12 +222,12 @@ fn read_piece(
 
     for (name, tag) in &piece.point_groups {
         let members = (0_u32..).zip(file.integers(tag, points)?).filter(|&(_, value)| value != 0);
-        add_to_group(&mut draft.vertex_groups, name, members.map(|(index, _)| first as u32 + index));
+        draft.vertex_groups.add(name, members.map(|(index, _)| first as u32 + index));
     }
     for (name, tag) in &piece.cell_groups {
         let members = file.integers(tag, cells)?.into_iter().zip(&numbers);
         let members = members.filter(|&(value, _)| value != 0).filter_map(|(_, number)| *number);
-        add_to_group(&mut draft.cell_groups, name, members);
+        draft.cell_groups.add(name, members);
     }
     Ok(())
 }

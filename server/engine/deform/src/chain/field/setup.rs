@@ -62,12 +62,16 @@ impl FieldBuilder<'_> {
                 seam_vertices: &seam_vertices,
                 held: &held,
                 blend_radius: self.blend_radius(component),
+                monitor,
             };
             let count = (share * self.options.training_vertices as f64).ceil() as usize;
             let training = match component {
                 None => region.absolute_set(count),
                 Some(_) => region.departure_set(count),
             };
+            if monitor.cancelled() {
+                return Err(SetupError::Cancelled);
+            }
             if training.is_empty() {
                 continue;
             }

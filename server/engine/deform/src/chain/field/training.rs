@@ -8,6 +8,8 @@ use moldline_foundation::smooth_step::smooth_step;
 use moldline_mesh::{Topology, graph, nearest_sources};
 use moldline_spline::Vector3;
 
+use crate::{Monitor, Stage};
+
 /// Seam vertices whose motions are averaged near a training vertex.
 const NEAREST_SEAMS: usize = 8;
 
@@ -44,6 +46,8 @@ pub struct Region<'a> {
     pub held: &'a [u32],
     /// Blending radius as a fraction of the largest distance from a seam.
     pub blend_radius: f64,
+    /// Ends the search early; what is returned then is incomplete.
+    pub monitor: &'a dyn Monitor<Stage>,
 }
 
 /// C2 step: 1 at 0, 0 at 1 and beyond.
@@ -171,10 +175,13 @@ impl Region<'_> {
         let at = |v: u32| Vector3::from(self.vertices[v as usize]);
         let mut distance: Vec<f64> = candidates
             .iter()
-            .map(|&v| start.iter().map(|&s| (at(v) - at(s)).norm_squared()).fold(f64::INFINITY, f64::min))
+            .map(|&v| {
+                let start = if self.monitor.cancelled() { &[] } else { start };
+                start.iter().map(|&s| (at(v) - at(s)).norm_squared()).fold(f64::INFINITY, f64::min)
+            })
             .collect();
         let mut found = Vec::with_capacity(count.min(candidates.len()));
-        while found.len() < count {
+        while found.len() < count && !self.monitor.cancelled() {
             let best = (0..candidates.len()).fold(None, |best: Option<usize>, i| match best {
                 Some(b) if distance[b] >= distance[i] => best,
                 _ => Some(i),
@@ -202,6 +209,7 @@ fn thinned(items: &[(u32, u32)], count: usize) -> impl Iterator<Item = (u32, u32
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::NoMonitor;
     use moldline_mesh::Cell;
 
     #[test]
@@ -235,6 +243,7 @@ mod tests {
             seam_vertices: &[0, 1],
             held: &[11],
             blend_radius: 0.9,
+            monitor: &NoMonitor,
         };
         let set = region.departure_set(100);
         let at_rest: Vec<u32> = set.iter().filter(|t| t.alpha() == 0.0).map(|t| t.vertex).collect();
@@ -256,6 +265,7 @@ mod tests {
             seam_vertices: &[0, 1],
             held: &[],
             blend_radius: 0.5,
+            monitor: &NoMonitor,
         };
         let set = region.absolute_set(100);
         assert_eq!(set.len(), vertices.len());

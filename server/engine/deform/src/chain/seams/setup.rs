@@ -115,7 +115,7 @@ pub fn seam_solver(
         let known = row.iter().map(|vertex| restored(found.get(vertex)?, ownership, bodies));
         let built = match known.collect::<Option<Vec<_>>>() {
             Some(known) => known,
-            None => row_lines(row, ownership, bodies)?,
+            None => row_lines(row, ownership, bodies, monitor)?,
         };
         let carried = carried(row, &junctions, ownership, topology, vertices, &index_of);
         summaries.push(summary(row, ownership, bodies, &built));
@@ -181,6 +181,7 @@ fn row_lines(
     row: &[u32],
     ownership: &Ownership,
     bodies: &[Body],
+    monitor: &dyn Monitor<Stage>,
 ) -> Result<Vec<(SeamLine, f64)>, SetupError> {
     let [a, b] = [0, 1].map(|k| ownership.of(row[0])[k].component);
     let choose = |component, direction| Choice { component, direction };
@@ -194,14 +195,22 @@ fn row_lines(
     // table[vertex][choice]
     let table: Vec<Vec<f64>> = row
         .par_iter()
-        .map(|&v| choices.iter().map(|&choice| transversality(v, choice, ownership, bodies)).collect())
-        .collect();
+        .map(|&v| {
+            if monitor.cancelled() {
+                return Err(SetupError::Cancelled);
+            }
+            Ok(choices.iter().map(|&choice| transversality(v, choice, ownership, bodies)).collect())
+        })
+        .collect::<Result<_, _>>()?;
     let worst = |k: usize| table.iter().map(|t| t[k]).fold(f64::INFINITY, f64::min);
     let best_of_row = (0..choices.len()).fold(0, |best, k| if worst(k) > worst(best) { k } else { best });
     let lines: Vec<Result<(SeamLine, f64), SetupError>> = row
         .par_iter()
         .zip(&table)
         .map(|(&vertex, scores)| {
+            if monitor.cancelled() {
+                return Err(SetupError::Cancelled);
+            }
             let own_best =
                 (0..choices.len()).fold(0, |best, k| if scores[k] > scores[best] { k } else { best });
             let k = if scores[best_of_row] > SHALLOW { best_of_row } else { own_best };

@@ -1,11 +1,12 @@
 //! The encodings of data arrays: text, base64 and raw bytes, compressed or not.
 
-use std::{borrow::Cow, io::Read};
+use std::{borrow::Cow, cell::Cell, io::Read};
 
 use super::xml::{Scanner, Tag};
 use crate::io::{
     Place, ReadError,
     cursor::{Cursor, line_of},
+    looked_at,
 };
 
 /// Largest ratio of an array's bytes to those of the file: the limit of deflate is 1032.
@@ -47,12 +48,14 @@ pub(super) struct File<'a> {
     compressed: bool,
     /// The appended data behind their underscore, and whether they are base64.
     appended: Option<(&'a [u8], bool)>,
+    /// Bytes of appended data that arrays have taken.
+    taken: Cell<usize>,
 }
 
 impl<'a> File<'a> {
     pub(super) fn new(bytes: &'a [u8], tag: &Tag<'a>) -> Result<Self, ReadError> {
-        let place = line_of(bytes, tag.start);
         let unsupported = |what: &str, value: &str, advice| {
+            let place = line_of(bytes, tag.start);
             Err(ReadError::Unsupported { place, what: format!("{what} {value}"), advice })
         };
         if let Some(kind) = tag.attribute("type").filter(|kind| kind != "UnstructuredGrid") {
@@ -73,7 +76,7 @@ impl<'a> File<'a> {
             Some("vtkZLibDataCompressor") => true,
             Some(other) => return unsupported("compressor", other, "write with zlib or uncompressed"),
         };
-        Ok(Self { bytes, little_endian, header_bytes, compressed, appended: None })
+        Ok(Self { bytes, little_endian, header_bytes, compressed, appended: None, taken: Cell::new(0) })
     }
 
     pub(super) fn note_appended(&mut self, tag: &Tag<'a>) -> Result<(), ReadError> {
@@ -196,11 +199,24 @@ impl<'a> File<'a> {
                 if base64 { Source::base64(data) } else { Source::Raw(data) }
             }
         };
-        if self.compressed {
+        let before = source.left();
+        let decoded = if self.compressed {
             self.inflate(array, &mut source, expected)
         } else {
             self.plain(array, &mut source, expected)
+        }?;
+        if let (Format::Appended { .. }, Some((data, _))) = (&array.format, self.appended) {
+            self.taken.set(self.taken.get() + before - source.left());
+            // Each byte may be read once: otherwise a short file could be decoded as often as it has tags.
+            if self.taken.get() > data.len() {
+                return Err(ReadError::Unsupported {
+                    place: self.place(array),
+                    what: "an array that shares appended data with another one".to_owned(),
+                    advice: "write the data of each array at an offset of its own",
+                });
+            }
         }
+        Ok(decoded)
     }
 
     fn plain(
@@ -289,6 +305,14 @@ impl<'a> Source<'a> {
         Self::Base64 { text, ready: Vec::new() }
     }
 
+    /// Bytes of the file that are left.
+    fn left(&self) -> usize {
+        match self {
+            Self::Raw(bytes) => bytes.len(),
+            Self::Base64 { text, .. } => text.len(),
+        }
+    }
+
     /// An upper bound on the remaining bytes.
     fn room(&self) -> usize {
         match self {
@@ -301,6 +325,7 @@ impl<'a> Source<'a> {
         if length > self.room() {
             return None;
         }
+        looked_at(length);
         match self {
             Self::Raw(bytes) => {
                 let (taken, rest) = bytes.split_at(length);

@@ -3,7 +3,7 @@
 
 use std::{borrow::Cow, str::FromStr};
 
-use crate::io::{ReadError, cursor::line_of};
+use crate::io::{ReadError, cursor::line_of, looked_at};
 
 pub(super) struct Tag<'a> {
     pub(super) name: &'a str,
@@ -21,6 +21,7 @@ pub(super) struct Tag<'a> {
 
 impl<'a> Tag<'a> {
     pub(super) fn attribute(&self, name: &str) -> Option<Cow<'a, str>> {
+        looked_at(self.attributes.len());
         let (_, value) = self.attributes.iter().find(|(other, _)| *other == name)?;
         Some(unescape(value))
     }
@@ -64,6 +65,7 @@ impl<'a> Scanner<'a> {
     pub(super) fn text(&mut self) -> &'a [u8] {
         let rest = &self.bytes[self.position..];
         let length = rest.iter().position(|&byte| byte == b'<').unwrap_or(rest.len());
+        looked_at(length);
         self.position += length;
         &rest[..length]
     }
@@ -90,6 +92,7 @@ impl<'a> Scanner<'a> {
     fn skip_past(&mut self, end: &'static [u8]) -> Result<(), ReadError> {
         let rest = &self.bytes[self.position..];
         let found = rest.windows(end.len()).position(|window| window == end);
+        looked_at(found.unwrap_or(rest.len()));
         self.position += found.ok_or_else(|| self.truncated("`>`"))? + end.len();
         Ok(())
     }
@@ -121,6 +124,7 @@ impl<'a> Scanner<'a> {
             let length = rest[1..].iter().position(|&byte| byte == quote);
             let value = &rest[1..1 + length.ok_or_else(|| self.truncated("a closing quote"))?];
             let value = std::str::from_utf8(value).map_err(|_| self.unexpected("text in UTF-8"))?;
+            looked_at(value.len() + 2);
             self.position += value.len() + 2;
             tag.attributes.push((attribute, value));
         }
