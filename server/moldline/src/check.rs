@@ -61,7 +61,12 @@ pub fn run(options: &CheckOptions) -> Result<(), Failure> {
     }
     #[cfg(feature = "plot")]
     if let Some(folder) = &options.plots {
-        crate::plot::write(&report, setup.parameterisation().groups(), folder)?;
+        let groups = setup.parameterisation().groups();
+        for (number, check) in report.designs.iter().enumerate() {
+            let path = folder.join(format!("plateau-{}.png", number + 1));
+            write_with_folder(&path, &crate::plot::plateau(&report.title(number), groups, check)?)?;
+            say(&format_args!("wrote {}", path.display()))?;
+        }
     }
     let maxima = report.maxima();
     let off: Vec<&str> = maxima.iter().filter(|m| !m.passes()).map(|m| m.comparison).collect();

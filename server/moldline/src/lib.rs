@@ -27,6 +27,7 @@ mod store;
 mod table;
 pub mod telemetry;
 mod token;
+mod values;
 
 pub use failure::Failure;
 

@@ -13,7 +13,7 @@ use moldline_host::{Cancellation, ServiceError};
 use moldline_mesh_service::reporter;
 use moldline_setup_files::{ArchiveKind, Files, Limits, SetupFileError, read_folder, read_setup, unpack};
 
-use crate::{bar::Bar, cli, failure::Failure};
+use crate::{bar::Bar, failure::Failure, values};
 
 /// Options of commands that read a set-up from local files.
 #[derive(Debug, Args)]
@@ -30,7 +30,7 @@ pub struct Source {
 
 /// The compute threads.
 pub fn pool(source: &Source) -> Result<rayon::ThreadPool, Failure> {
-    Ok(rayon::ThreadPoolBuilder::new().num_threads(cli::threads(source.threads)).build()?)
+    Ok(rayon::ThreadPoolBuilder::new().num_threads(values::threads(source.threads)).build()?)
 }
 
 /// Reads and builds a set-up.

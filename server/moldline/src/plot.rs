@@ -1,15 +1,8 @@
 //! Figures as PNG. The font is compiled in, so that figures are the same on every machine.
 
-use std::path::Path;
-
-use moldline_check::{DesignCheck, Report};
+use moldline_check::DesignCheck;
 use moldline_parameterisation::Group;
 use plotters::{prelude::*, style::register_font};
-
-use crate::{
-    failure::Failure,
-    output::{say, write_with_folder},
-};
 
 /// A figure that cannot be drawn.
 #[derive(Debug, thiserror::Error)]
@@ -30,18 +23,8 @@ const HEIGHT: u32 = 800;
 /// Smaller errors are drawn at this value.
 const LEAST: f64 = 1e-16;
 
-/// Writes a figure of each design's errors into a folder.
-pub fn write(report: &Report, groups: &[Group], folder: &Path) -> Result<(), Failure> {
-    for (number, check) in report.designs.iter().enumerate() {
-        let path = folder.join(format!("plateau-{}.png", number + 1));
-        write_with_folder(&path, &plateau(&report.title(number), groups, check)?)?;
-        say(&format_args!("wrote {}", path.display()))?;
-    }
-    Ok(())
-}
-
-/// Plots relative errors against the step of the differences: a curve for each variable, a colour for each group of variables.
-fn plateau(title: &str, groups: &[Group], check: &DesignCheck) -> Result<Vec<u8>, PlotError> {
+/// Plots relative errors against the step of the differences: a curve for each variable, a colour for each group of variables. The bytes of a PNG file.
+pub fn plateau(title: &str, groups: &[Group], check: &DesignCheck) -> Result<Vec<u8>, PlotError> {
     register_font("sans-serif", FontStyle::Normal, dejavu::sans::regular()).map_err(|_| PlotError::Font)?;
     let mut pixels = vec![0; (3 * WIDTH * HEIGHT) as usize];
     draw(title, groups, check, &mut pixels).map_err(|error| PlotError::Drawing(error.to_string()))?;

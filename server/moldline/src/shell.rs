@@ -12,7 +12,7 @@ use moldline_transport::{
 };
 use tokio::{runtime, sync::oneshot, time};
 
-use crate::{cli, shutdown, telemetry};
+use crate::{shutdown, telemetry, values};
 
 /// Options of a service's port, its access and its end.
 #[derive(Debug, Args)]
@@ -40,10 +40,10 @@ pub struct ListenOptions {
     #[arg(long, env = "MOLDLINE_CORS_ORIGIN", value_name = "ORIGIN", value_delimiter = ',')]
     pub cors_origin: Vec<HeaderValue>,
     /// Seconds between the first failing health probe and the closing of the port; one probe interval
-    #[arg(long, env = "MOLDLINE_DRAIN_DELAY", default_value_t = 0.0, value_name = "SECONDS", value_parser = cli::seconds)]
+    #[arg(long, env = "MOLDLINE_DRAIN_DELAY", default_value_t = 0.0, value_name = "SECONDS", value_parser = values::seconds)]
     pub drain_delay: f64,
     /// Seconds for running requests to finish
-    #[arg(long, env = "MOLDLINE_DRAIN_TIMEOUT", default_value_t = 30.0, value_name = "SECONDS", value_parser = cli::seconds)]
+    #[arg(long, env = "MOLDLINE_DRAIN_TIMEOUT", default_value_t = 30.0, value_name = "SECONDS", value_parser = values::seconds)]
     pub drain_timeout: f64,
 }
 
@@ -63,7 +63,7 @@ pub struct ComputeOptions {
     #[arg(long, env = "MOLDLINE_TENANT_LOAD", default_value_t = 64)]
     pub tenant_load: usize,
     /// Seconds that one piece of work may take (a build, a deformation, a product, a check); then it is given up
-    #[arg(long, env = "MOLDLINE_MAX_WORK", default_value_t = 600.0, value_name = "SECONDS", value_parser = cli::seconds)]
+    #[arg(long, env = "MOLDLINE_MAX_WORK", default_value_t = 600.0, value_name = "SECONDS", value_parser = values::seconds)]
     pub max_work: f64,
     /// Largest message received, MiB
     #[arg(long, env = "MOLDLINE_MAX_MESSAGE", default_value_t = 64, value_name = "MIB")]
@@ -73,7 +73,7 @@ pub struct ComputeOptions {
 impl ComputeOptions {
     /// The size of the pool.
     pub fn pool(&self) -> PoolLimits {
-        let threads = cli::threads(self.threads);
+        let threads = values::threads(self.threads);
         let running = self.running.map_or(threads, NonZeroUsize::get);
         PoolLimits { threads, running, queued: self.queued, work: Duration::from_secs_f64(self.max_work) }
     }

@@ -14,7 +14,7 @@ use tonic::{
     transport::{Certificate, ClientTlsConfig, Endpoint},
 };
 
-use crate::{cli, table};
+use crate::{table, values};
 
 /// Options of `moldline status`.
 #[derive(Debug, Args)]
@@ -29,7 +29,7 @@ pub struct StatusOptions {
     #[arg(long, env = "MOLDLINE_CA", value_name = "FILE")]
     pub ca: Option<PathBuf>,
     /// Refresh every SECONDS, or every second
-    #[arg(long, value_name = "SECONDS", num_args = 0..=1, default_missing_value = "1", value_parser = cli::seconds)]
+    #[arg(long, value_name = "SECONDS", num_args = 0..=1, default_missing_value = "1", value_parser = values::seconds)]
     pub watch: Option<f64>,
     /// Print JSON, one line
     #[arg(long)]

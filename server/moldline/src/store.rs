@@ -6,7 +6,7 @@ use clap::{Args, Subcommand};
 use moldline_mesh_service::Store;
 use tokio::runtime;
 
-use crate::{cli, failure::Failure, output::say};
+use crate::{failure::Failure, output::say, values};
 
 /// Commands on a store.
 #[derive(Debug, Subcommand)]
@@ -36,7 +36,7 @@ pub struct Collect {
     pub dry_run: bool,
     /// Keep objects younger than this, as in `90s`, `30m`, `24h`, `7d`; less than an hour is safe only while no server
     /// uses the store
-    #[arg(long, default_value = "24h", value_parser = cli::duration)]
+    #[arg(long, default_value = "24h", value_parser = values::duration)]
     pub grace: Duration,
 }
 

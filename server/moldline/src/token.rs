@@ -6,7 +6,7 @@ use clap::{Args, Subcommand};
 use moldline_host::{Principal, Role, Tenant};
 use moldline_transport::tokens::{self, TokenFileError};
 
-use crate::{cli, table};
+use crate::{table, values};
 
 /// Options of `moldline token`.
 #[derive(Debug, Args)]
@@ -31,7 +31,7 @@ pub enum TokenCommand {
         #[arg(long, value_parser = role)]
         role: Role,
         /// Lifetime, as in `90d`, `12h`, `30m` or `45s`; unlimited if absent
-        #[arg(long, value_parser = cli::duration, value_name = "TIME")]
+        #[arg(long, value_parser = values::duration, value_name = "TIME")]
         expires: Option<Duration>,
     },
     /// List the tokens, without their secrets

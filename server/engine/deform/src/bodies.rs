@@ -55,8 +55,10 @@ impl Reach {
     ) -> Result<(), ControlPointsError> {
         let squared = self.radius * self.radius;
         for (component, points) in control_points.iter().enumerate() {
-            // Squares that overflow are outside, too; NaN is left to `check_points`.
-            let outside = |x: &[f64; 3]| (Vector3::from(*x) - self.middle).norm_squared() > squared;
+            // Squares that overflow are outside, too; coordinates that are not finite have an error of their own.
+            let outside = |x: &[f64; 3]| {
+                x.iter().all(|x| x.is_finite()) && (Vector3::from(*x) - self.middle).norm_squared() > squared
+            };
             if let Some(point) = points.iter().position(outside) {
                 return Err(ControlPointsError::Far {
                     component,

@@ -21,9 +21,9 @@ use serde_json::{Value, json};
 use super::choices::{SOLVERS, SYMMETRIES, words};
 use crate::{
     bar::Bar,
-    cli,
     failure::Failure,
     output::{say, write},
+    values,
 };
 
 /// Options of `moldline panel analyze`.
@@ -90,7 +90,7 @@ fn point(text: &str) -> Result<[f64; 3], String> {
 /// `moldline panel analyze`
 pub fn run(options: &AnalyzeOptions) -> Result<(), Failure> {
     let mesh = read(&options.mesh)?;
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(cli::threads(options.threads)).build()?;
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(values::threads(options.threads)).build()?;
     let setup = pool.install(|| PanelSetup::new(&mesh, choices(options))).map_err(ServiceError::from)?;
     let summary = setup.summary();
     let symmetric = if summary.symmetric { ", one half for both" } else { "" };

@@ -13,7 +13,7 @@
 //!   that products do not deform again; one that was evicted is recomputed from the design, to the same bits.
 //! - What is acknowledged is in the store. Memory holds set-ups and linearisations within their budgets, each loaded or made
 //!   once for all concurrent requests. Any service on the same store can continue any session.
-//! - A caller is a [`Principal`]. Objects that it may not see look to it as if they did not exist.
+//! - A caller is a [`moldline_host::Principal`]. Objects that it may not see look to it as if they did not exist.
 //!
 //! Pool, caches, single flight, errors and callers are those of `moldline-host`.
 //!

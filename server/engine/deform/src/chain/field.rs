@@ -109,9 +109,9 @@ impl Field {
         self.basis.bytes()
     }
 
-    /// Field values at `points`, a row each. `seam_motion`: the motion of each seam vertex in the field's terms, a row each. The datum of training
-    /// vertex `i` is (eq. 15) `(1 - alpha_i) component_motion(i) + sum_k weight_ik seam_motion[k]`; `component_motion` adds a
-    /// multiple of the motion of a training vertex with its component to a row.
+    /// Field values at `points`, a row each. `seam_motion`: the motion of each seam vertex in the field's terms, a row each. The
+    /// datum of training vertex `i` is (eq. 15) `(1 - alpha_i) component_motion(i) + sum_k weight_ik seam_motion[k]`;
+    /// `component_motion` adds a multiple of the motion of a training vertex with its component to a row.
     pub fn eval(
         &self,
         seam_motion: &Block,

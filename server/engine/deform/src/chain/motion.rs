@@ -1,8 +1,8 @@
-//! The motions of the seam vertices in the terms of each field, which the field interpolates.
+//! Motions of the seam vertices in the terms of each field, which the field interpolates.
 //!
-//! A field over a component measures how far a seam vertex departs from the motion of that component: in a chart of the
-//! undeformed component (its departure), as a vector on the undeformed component, or as a vector from the point of
-//! the deformed component that it was. A field over the whole mesh takes displacements in space.
+//! A field over a component measures how far a seam vertex departs from the motion of that component: as a departure in a chart
+//! of the undeformed component, as a vector on the undeformed component, or as a vector from the vertex's old parameters on
+//! the deformed component. A field over the whole mesh takes displacements in space.
 
 use std::sync::Arc;
 
@@ -51,7 +51,7 @@ enum Measure {
     Chart { component: usize, chart: Arc<Chart> },
     /// As the vector between two points of the undeformed component.
     Undeformed { component: usize },
-    /// As the vector from where the vertex was on the deformed component.
+    /// As the vector from the vertex's old parameters on the deformed component.
     Deformed { component: usize },
 }
 

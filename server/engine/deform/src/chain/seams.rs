@@ -1,6 +1,6 @@
 //! Seam vertices (sec. III.C of the paper): where they are in a deformed state, and the derivative of that.
 //!
-//! A vertex on two components is searched along a line of one of them ([`line`]); a vertex where three meet, in both parameters
+//! A vertex on two components is searched along a line of one of them ([`mod@line`]); a vertex where three meet, in both parameters
 //! ([`junction`]). The seams that end at a junction are carried along with it.
 //!
 //! The parameters on the other owners are those of the foot point: `dmu = P (dx - dS)`.
