@@ -3,6 +3,7 @@
 use std::time::Duration;
 
 use moldline_host::{CacheStatus, Principal, Role, ServiceError, Work};
+use moldline_store::{Health, StoreError};
 
 use crate::service::Service;
 
@@ -40,6 +41,14 @@ pub struct Status {
 }
 
 impl Service {
+    /// Whether the store can be used, for readiness. Cheap: it is looked at once a second at most.
+    ///
+    /// # Errors
+    /// `Vanished` if it is gone or another one, `Full`, `ReadOnly`, `Unavailable` if it does not answer.
+    pub async fn store_health(&self) -> Result<Health, StoreError> {
+        self.store.health().await
+    }
+
     /// The current status.
     ///
     /// # Errors

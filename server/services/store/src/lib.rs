@@ -9,6 +9,7 @@
 //! session/<tenant>/<id>/<number>       a session: generations
 //! session/<tenant>/<id>/closed         the mark of a closed session
 //! request/<tenant>/<hash>              a request id, and the hash of its request
+//! format, identity                     what tells this store from others
 //! ```
 //!
 //! - One primitive: create if absent, atomic and durable before it is acknowledged (on a local disk, file and folder are
@@ -23,10 +24,12 @@
 mod backend;
 mod collect;
 mod error;
+mod health;
 mod records;
 mod store;
 
 pub use collect::{Collected, Verified};
 pub use error::{StoreError, unless_damaged};
+pub use health::Health;
 pub use records::{AccessRecord, Manifest, ManifestEntry, Numbers, SessionRecord, Shared};
 pub use store::{Claim, Generation, Store};

@@ -2,6 +2,7 @@
 
 use std::{
     collections::BTreeSet,
+    sync::Arc,
     time::{Duration, SystemTime},
 };
 
@@ -12,6 +13,7 @@ use serde::{Serialize, de::DeserializeOwned};
 use crate::{
     backend::{Backend, refused},
     error::{StoreError, unless_damaged},
+    health::{Probed, identify},
     records::{AccessRecord, Manifest, SessionRecord, Shared, seal, seal_bytes, unseal, unseal_bytes},
 };
 
@@ -48,6 +50,7 @@ pub enum Claim {
 #[derive(Clone, Debug)]
 pub struct Store {
     pub(crate) backend: Backend,
+    pub(crate) probed: Arc<Probed>,
 }
 
 impl Store {
@@ -60,11 +63,19 @@ impl Store {
         if !is_made(&backend, location).await? {
             // A store that cannot be written to can still be read; writes report the error.
             match backend.create("format", Bytes::from_static(FORMAT.as_bytes())).await {
-                Ok(_) | Err(StoreError::Full { .. } | StoreError::ReadOnly { .. }) => {}
+                Ok(_) => tracing::info!(store = location, "beginning an empty store"),
+                Err(StoreError::Full { .. } | StoreError::ReadOnly { .. }) => {}
                 Err(error) => return Err(refused(location, error.to_string())),
             }
         }
-        Ok(Self { backend })
+        Self::over(backend, location).await
+    }
+
+    async fn over(backend: Backend, location: &str) -> Result<Self, StoreError> {
+        if location != "memory" {
+            identify(&backend).await.map_err(|error| refused(location, error.to_string()))?;
+        }
+        Ok(Self { backend, probed: Arc::default() })
     }
 
     /// Opens an existing store.
@@ -74,14 +85,14 @@ impl Store {
     pub async fn open_existing(location: &str) -> Result<Self, StoreError> {
         let backend = Backend::open(location)?;
         match is_made(&backend, location).await? {
-            true => Ok(Self { backend }),
+            true => Self::over(backend, location).await,
             false => Err(refused(location, "nothing was ever stored there")),
         }
     }
 
     /// A store in memory, which ends with the process.
     pub fn in_memory() -> Self {
-        Self { backend: Backend::in_memory() }
+        Self { backend: Backend::in_memory(), probed: Arc::default() }
     }
 
     /// Stores the files of a set-up, the set-up file first, and returns its id.

@@ -157,8 +157,8 @@ async fn flipped_bits_and_truncated_files_are_found_and_named() {
     for path in objects(folder.path()) {
         let name = path.strip_prefix(folder.path()).unwrap().to_str().unwrap().to_owned();
         let kind = name.split('/').next().unwrap().to_owned();
-        // `format` identifies the folder, a grant is empty.
-        if kind == "format" || kind == "grant" {
+        // `format` and `identity` identify the folder, a grant is empty.
+        if matches!(kind.as_str(), "format" | "identity" | "grant") {
             continue;
         }
         let whole = fs::read(&path).unwrap();
@@ -347,4 +347,61 @@ async fn invalid_locations_are_rejected() {
     }
     fs::write(folder.path().join("format"), b"something else").unwrap();
     assert!(Store::open(folder.path().to_str().unwrap()).await.is_err());
+}
+
+#[cfg(unix)]
+#[tokio::test]
+async fn folders_and_files_are_for_their_owner_alone() {
+    use std::os::unix::fs::PermissionsExt;
+    let outer = tempfile::tempdir().unwrap();
+    let (made, open) = (outer.path().join("made"), outer.path().join("open"));
+    fs::create_dir(&open).unwrap();
+    fs::set_permissions(&open, fs::Permissions::from_mode(0o755)).unwrap();
+    for place in [made, open] {
+        filled(&Store::open(place.to_str().unwrap()).await.unwrap()).await;
+        let files = objects(&place);
+        let folders: BTreeSet<&Path> = files.iter().flat_map(|path| path.ancestors().skip(1)).collect();
+        for path in files.iter().map(PathBuf::as_path).chain(folders) {
+            if path.starts_with(&place) {
+                let mode = fs::metadata(path).unwrap().permissions().mode();
+                assert_eq!(mode & 0o077, 0, "{} has {mode:o}", path.display());
+            }
+        }
+    }
+}
+
+fn vanished<T: std::fmt::Debug>(outcome: Result<T, StoreError>) {
+    assert!(matches!(&outcome, Err(StoreError::Vanished { .. })), "{outcome:?}");
+}
+
+#[tokio::test]
+async fn a_store_that_vanished_is_told_and_never_replaced() {
+    let outer = tempfile::tempdir().unwrap();
+    let (place, aside) = (outer.path().join("store"), outer.path().join("aside"));
+    let store = Store::open(place.to_str().unwrap()).await.unwrap();
+    let id = filled(&store).await;
+    assert!(store.health().await.unwrap().free.unwrap() > 0);
+    fs::rename(&place, &aside).unwrap();
+    for another in [false, true] {
+        if another {
+            // An empty disk under the same name, on which another store was begun.
+            Store::open(place.to_str().unwrap()).await.unwrap();
+        }
+        let before = place.exists().then(|| objects(&place));
+        vanished(store.setup(&id).await);
+        vanished(store.session("a", "s").await);
+        vanished(store.granted("b", &id).await);
+        vanished(store.put_setup(&files("content")).await);
+        vanished(store.put_session("a", "t", 1, &session(&id, 0.5)).await);
+        vanished(store.claim("a", "another", "hash").await);
+        vanished(store.collect(Duration::ZERO, false).await);
+        std::thread::sleep(Duration::from_millis(1100));
+        vanished(store.health().await);
+        assert_eq!(place.exists().then(|| objects(&place)), before, "nothing was written");
+    }
+    fs::remove_dir_all(&place).unwrap();
+    fs::rename(&aside, &place).unwrap();
+    is_all_there(&store, &id, "first").await;
+    std::thread::sleep(Duration::from_millis(1100));
+    store.health().await.unwrap();
 }
