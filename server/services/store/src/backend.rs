@@ -104,7 +104,7 @@ impl Backend {
         // Callers wait: they learn soon that the store does not answer, and decide themselves whether to retry.
         let retry = object_store::RetryConfig {
             max_retries: 5,
-            retry_timeout: std::time::Duration::from_secs(15),
+            retry_timeout: Duration::from_secs(15),
             ..Default::default()
         };
         let objects =
@@ -220,6 +220,22 @@ impl Backend {
         Ok(Some((data, modified)))
     }
 
+    /// Whether an object exists.
+    pub async fn exists(&self, name: &str) -> Result<bool, StoreError> {
+        self.modified(name).await.map(|modified| modified.is_some())
+    }
+
+    /// Time of the last write of an object, if it exists.
+    pub async fn modified(&self, name: &str) -> Result<Option<SystemTime>, StoreError> {
+        let found = match self.objects.head(&self.path(name)).await {
+            Ok(meta) => Some(meta.last_modified.into()),
+            Err(object_store::Error::NotFound { .. }) => None,
+            Err(error) => return Err(StoreError::of(name, &error)),
+        };
+        self.present().await?;
+        Ok(found)
+    }
+
     /// All objects below a name, sorted.
     pub async fn list(&self, below: &str) -> Result<Vec<Listed>, StoreError> {
         let prefix = self.path(below);
@@ -259,6 +275,14 @@ impl Backend {
         self.present().await?;
         names.sort();
         Ok(names)
+    }
+
+    /// Removes the folder of objects that are all gone; object stores have none.
+    pub async fn remove_folder(&self, name: &str) {
+        let Some(folder) = &self.folder else { return };
+        let path = folder.join(name);
+        // If it is not empty, it stays.
+        let _ = blocking(name, move || std::fs::remove_dir(path)).await;
     }
 
     /// Removes an object, if it exists.
