@@ -16,7 +16,7 @@ use moldline_store::Store;
 use crate::{
     limits::Limits,
     progress::{progress, reporter},
-    read::{self, Content, Read},
+    read::{self, Content, Read, explained},
     setup_id::SetupId,
 };
 
@@ -186,12 +186,14 @@ async fn make(
                 reports.tell(progress);
             });
             let known = stored.and_then(|stored| Known::read(&stored));
+            let origin = Arc::clone(&input.origin);
+            let explain = |error| explained(&origin, error);
             let (engine, build_time, derived) = match known {
                 Some(Known { build_time, derived }) => {
-                    (Setup::restore(input, derived, &reporter)?, build_time, None)
+                    (Setup::restore(input, derived, &reporter).map_err(explain)?, build_time, None)
                 }
                 None => {
-                    let engine = Setup::build(input, &reporter)?;
+                    let engine = Setup::build(input, &reporter).map_err(explain)?;
                     let build_time = start.elapsed();
                     let known = Known { build_time, derived: engine.derived() };
                     (engine, build_time, Some(known.write()))
