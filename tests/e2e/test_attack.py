@@ -145,8 +145,8 @@ def test_an_upload_under_way_is_finished_by_a_drain(binary: Path) -> None:
 
 def test_a_drain_that_cuts_something_says_so(binary: Path) -> None:
     with Server(binary, "--drain-timeout", "1") as server:
-        head = b"POST /v1/setups HTTP/1.1\r\nhost: localhost\r\ncontent-type: application/json\r\ncontent-length: 100\r\n\r\n{"
-        connection = connect(server, head)
+        head = b"POST /v1/setups HTTP/1.1\r\nhost: localhost\r\ncontent-type: application/json\r\n"
+        connection = connect(server, head + b"content-length: 100\r\n\r\n{")
         time.sleep(0.5)
         assert server.stop() == 1
         assert any("cut off" in line for line in server.log)
