@@ -14,6 +14,7 @@ mod failure;
 mod grpc;
 mod http;
 mod local;
+mod machine;
 mod output;
 pub mod panel;
 #[cfg(feature = "plot")]

@@ -50,6 +50,19 @@ pub struct SetupInput {
     pub options: Options,
 }
 
+impl SetupInput {
+    /// An estimate of the memory that [`Setup::build`] takes at its peak, bytes: for the systems of the fields, of at most
+    /// `training_vertices` centres and, on a half model, their images, the matrix, its factor, and the factor as it is stored;
+    /// for the rest a multiple of the mesh.
+    pub fn build_memory(&self) -> u64 {
+        /// Topology, owners, seams and quality of a vertex or cell.
+        const EACH: u64 = 2048;
+        let mesh = (self.mesh.vertices.len() + self.mesh.cells.len()) as u64;
+        let centres = 2 * self.options.training_vertices.min(self.mesh.vertices.len()) as u64;
+        EACH * mesh + 3 * size_of::<f64>() as u64 * centres * centres
+    }
+}
+
 /// The results of a set-up's searches and factorisations, from which the same set-up is restored without doing them again.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Derived {
@@ -314,6 +327,13 @@ impl Setup {
         const OF_A_CELL: usize = 200;
         let fields: usize = self.fields().iter().map(|field| field.field.bytes()).sum();
         fields + OF_A_VERTEX * self.mesh.vertices.len() + OF_A_CELL * self.mesh.cells.len()
+    }
+
+    /// An estimate of the memory that a deformation and its linearisation take at their peak, bytes.
+    pub fn deformation_memory(&self) -> u64 {
+        /// Feet, bases and derivatives of every step, for each vertex.
+        const EACH: u64 = 2048;
+        EACH * self.mesh.vertices.len() as u64
     }
 
     /// The reference mesh, as given.

@@ -227,6 +227,13 @@ impl Linearised {
 /// Directions that have been checked against the set-up.
 pub(crate) struct CheckedDirections(Vec<Direction>);
 
+impl CheckedDirections {
+    /// Their number.
+    pub(crate) fn count(&self) -> usize {
+        self.0.len()
+    }
+}
+
 impl Directions {
     /// # Errors
     /// `InvalidArgument` naming the invalid field.

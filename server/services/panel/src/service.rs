@@ -7,7 +7,7 @@ use std::{
 
 use moldline_host::{
     Cache, CacheStatus, Code, Completed, ComputePool, Flights, Joined, PoolLimits, Principal, Product,
-    Progress, Reports, Role, ServiceError, Task, Tenant, Ticket, Timing,
+    Progress, Reports, Role, ServiceError, Supply, Task, Tenant, Ticket, Timing,
 };
 use moldline_panel::{
     Analysis, Flow, Inputs, Linearisation, Monitor, Outputs, PanelError, Reference, SetupSummary, Stage,
@@ -141,6 +141,19 @@ impl PanelService {
     /// The limits in force.
     pub fn limits(&self) -> &Limits {
         &self.limits
+    }
+
+    /// The working memory.
+    pub fn memory(&self) -> &Arc<Supply> {
+        self.pool.memory()
+    }
+
+    /// Whether the pool gets work done.
+    ///
+    /// # Errors
+    /// As [`ComputePool::moving`].
+    pub fn moving(&self) -> Result<(), String> {
+        self.pool.moving()
     }
 
     /// Number of running and waiting tasks.
@@ -449,5 +462,11 @@ fn check_flow(
 
 /// A task on a configuration.
 fn task(caller: &Principal, kind: &'static str, configuration: &str) -> Task {
-    Task { kind, tenant: caller.tenant.clone(), setup: Some(configuration.to_owned()), session: None }
+    Task {
+        kind,
+        tenant: caller.tenant.clone(),
+        setup: Some(configuration.to_owned()),
+        session: None,
+        memory: 0,
+    }
 }
