@@ -31,7 +31,7 @@ mod upload;
 pub use check::{Check, CheckedDesign, CheckedVariable, Difference, DotProduct, Kink, StageError};
 pub use client::{CheckOptions, Client, CreateOptions, Session, Setup};
 pub use connection::{Options, Retry, Tls};
-pub use error::{Code, Error, FieldViolation};
+pub use error::{Code, Error, FieldViolation, Origin};
 pub use model::{
     At, CacheStatus, CellQuality, ControlPoints, Deformation, Design, DesignPoint, Directions, Distribution,
     Function, Gradients, Jacobian, Linearisation, Mesh, Point, Progress, QualityReport, QualitySummary,

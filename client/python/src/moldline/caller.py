@@ -40,6 +40,7 @@ class _Connection:
         retry: Retry = Retry(),
     ) -> None:
         self._own = isinstance(target, str)
+        self._server = target if isinstance(target, str) else "the given channel"
         self._channel: Any = connection.channel(target, tls, self._TRANSPORT)
         self._stub = self._STUB(self._channel)
         self._metadata = connection.metadata(token)
@@ -88,7 +89,7 @@ class Caller(_Connection):
                     step, result = operation.throw, error
 
     def _perform(self, call: Call, deadline: Deadline) -> Any:
-        attempts = Attempts(self._retry, deadline)
+        attempts = Attempts(self._retry, deadline, self._server)
         while True:
             try:
                 with translated():
@@ -144,7 +145,7 @@ class AsyncCaller(_Connection):
                     step, result = operation.throw, error
 
     async def _perform(self, call: Call, deadline: Deadline) -> Any:
-        attempts = Attempts(self._retry, deadline)
+        attempts = Attempts(self._retry, deadline, self._server)
         while True:
             try:
                 with translated():
