@@ -63,11 +63,11 @@ fn decode<U: Message + Name + Default>(bytes: Bytes) -> Result<U, Status> {
     // Answers come from a server that the client has chosen, and leave out what is zero.
     if U::NAME.ends_with("Request") {
         let most = crate::decoded(bytes.len() as u64);
-        match Weight::of(U::NAME).bytes(&bytes) {
+        match Weight::of(U::NAME).bytes(&bytes, most) {
             Ok(weight) if weight > most => {
                 return Err(Status::resource_exhausted(format!(
-                    "the message has {} bytes, and its parts would take {weight} in memory, more than the {most} that \
-                     such a message may; send fewer and larger parts",
+                    "the message has {} bytes, and its parts would take more than {most} in memory, which is the limit for \
+                     its length; send fewer and larger parts",
                     bytes.len()
                 )));
             }

@@ -72,23 +72,23 @@ impl Weight {
         Self(TABLE.indices.get(name).copied())
     }
 
-    /// Bytes that `encoded` takes when it is decoded.
+    /// Bytes that `encoded` takes when it is decoded; counted no further than beyond `most`.
     ///
     /// # Errors
     /// If it is not well formed.
-    pub fn bytes(self, encoded: &[u8]) -> Result<u64, Malformed> {
+    pub fn bytes(self, encoded: &[u8], most: u64) -> Result<u64, Malformed> {
         match self.0 {
-            Some(kind) => weigh(&TABLE, kind, encoded, DEEPEST),
+            Some(kind) => weigh(&TABLE, kind, encoded, most, DEEPEST),
             None => Ok(encoded.len() as u64),
         }
     }
 }
 
-fn weigh(table: &Table, kind: usize, mut rest: &[u8], depth: usize) -> Result<u64, Malformed> {
+fn weigh(table: &Table, kind: usize, mut rest: &[u8], most: u64, depth: usize) -> Result<u64, Malformed> {
     let depth = depth.checked_sub(1).ok_or(Malformed::Deep)?;
     let kind = &table.kinds[kind];
     let mut total = 0_u64;
-    while !rest.is_empty() {
+    while !rest.is_empty() && total <= most {
         let key = varint(&mut rest)?;
         let field = u32::try_from(key >> 3).ok().and_then(|number| kind.fields.get(&number));
         let number = match field {
@@ -117,7 +117,7 @@ fn weigh(table: &Table, kind: usize, mut rest: &[u8], depth: usize) -> Result<u6
                     }
                     Some(Field::Message { of, inline }) => {
                         let place = if *inline { 0 } else { 2 * table.kinds[*of].size };
-                        place + weigh(table, *of, content, depth)?
+                        place + weigh(table, *of, content, most - total, depth)?
                     }
                 };
             }

@@ -8,13 +8,19 @@ import json
 import resource
 import signal
 import socket
+import subprocess
 import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
+import grpc
+import moldline
 import pytest
+from moldline.v1 import mesh_service_pb2
 
+import sphere_and_boom
 from server import Server
 
 E175 = Path(__file__).parents[2] / "examples/e175"
@@ -181,3 +187,96 @@ def test_an_answer_that_is_read_slowly_is_finished_by_a_drain(binary: Path) -> N
                 time.sleep(0.05)
         assert size >= 24 * linearised.vertices.shape[0] * len(session.setup.variables)
         assert server.wait() == 0
+
+
+def test_web_pages_do_not_reach_a_server_on_loopback(server: Server) -> None:
+    """Neither by a name of their own that leads here, nor by a simple request to another origin."""
+    host = server.address
+    for fields, expected in [
+        ({"host": host}, 200),
+        ({"host": "attacker.example"}, 403),
+        ({"host": host, "origin": "https://attacker.example"}, 403),
+        ({"host": host, "origin": f"http://{host}"}, 200),
+    ]:
+        connection = http.client.HTTPConnection(server.address, timeout=10)
+        connection.request("GET", "/v1/status", headers=fields)
+        assert connection.getresponse().status == expected, fields
+        connection.close()
+
+
+def test_probes_and_metrics_have_a_port_of_their_own(binary: Path, tmp_path: Path) -> None:
+    tokens = tmp_path / "tokens.json"
+    create = [str(binary), "token", "create", "--tokens", str(tokens), "--tenant", "anna", "--role", "reader"]
+    reader = subprocess.run(create, check=True, capture_output=True, text=True).stdout.strip()
+    with Server(binary, "--tokens", str(tokens), "--admin-listen", "127.0.0.1:0") as server:
+        admin = json.loads(server.process.stdout.readline())["address"]
+        for path, expected in [("/healthz", 200), ("/readyz", 200), ("/metrics", 200), ("/v1/status", 404)]:
+            connection = http.client.HTTPConnection(admin, timeout=10)
+            connection.request("GET", path)
+            answer = connection.getresponse()
+            body = answer.read()
+            assert answer.status == expected, path
+            assert path != "/metrics" or b"moldline_memory_limit_bytes" in body
+            connection.close()
+        # A role is checked before a body comes.
+        head = f"POST /v1/sessions/a/deform HTTP/1.1\r\nhost: {server.address}\r\nauthorization: Bearer {reader}\r\n"
+        connection = connect(
+            server, f"{head}content-type: application/json\r\ncontent-length: 1000000\r\n\r\n".encode()
+        )
+        assert connection.recv(4096).startswith(b"HTTP/1.1 403")
+        connection.close()
+
+
+def test_a_token_file_that_others_may_read_is_refused(binary: Path, tmp_path: Path) -> None:
+    tokens = tmp_path / "tokens.json"
+    create = [str(binary), "token", "create", "--tokens", str(tokens), "--tenant", "anna", "--role", "user"]
+    subprocess.run(create, check=True, capture_output=True)
+    tokens.chmod(0o644)
+    serve = [str(binary), "serve", "--store", "memory", "--listen", "127.0.0.1:0", "--tokens", str(tokens)]
+    refused = subprocess.run(serve, capture_output=True, text=True, timeout=60)
+    assert refused.returncode == 1
+    assert "chmod 600" in refused.stderr
+
+
+def test_names_of_any_length_come_back_short(server: Server, setup_folder: Path) -> None:
+    name = "n" * 1_000_000
+    status, body = post(server, f"/v1/sessions/{'s' * 5000}/deform", json.dumps({"design": {name: 1.0}}).encode())
+    assert (status, len(body) < 2000) == (404, True)
+    with server.client() as client:
+        session = client.create_setup(setup_folder).session()
+    status, body = post(server, f"/v1/sessions/{session.id}/deform", json.dumps({"design": {name: 1.0}}).encode())
+    assert (status, len(body) < 10_000) == (400, True)
+    assert not any(len(line) > 10_000 for line in server.log)
+
+
+def test_a_component_with_a_long_name_is_refused(server: Server, tmp_path: Path) -> None:
+    def rename(document: dict[str, Any], *_: object) -> None:
+        document["components"][0]["name"] = "c" * 70_000
+
+    with server.client() as client, pytest.raises(moldline.InvalidArgument) as refused:
+        client.create_setup(sphere_and_boom.write(tmp_path / "long", change=rename))
+    assert "256" in str(refused.value)
+
+
+def test_messages_that_grow_when_they_are_decoded_are_refused(server: Server) -> None:
+    number = mesh_service_pb2.DeformRequest.DESCRIPTOR.fields_by_name["control_points"].number
+    with grpc.insecure_channel(server.address) as channel:
+        deform = channel.unary_unary("/moldline.v1.MeshService/Deform", bytes, bytes)
+        with pytest.raises(grpc.RpcError) as refused:
+            deform(bytes([number << 3 | 2, 0]) * (1 << 20), timeout=30)
+        assert refused.value.code() == grpc.StatusCode.RESOURCE_EXHAUSTED
+        with pytest.raises(grpc.RpcError) as refused:
+            deform(b"\xff" * 100, timeout=30)
+        assert refused.value.code() == grpc.StatusCode.INVALID_ARGUMENT
+        with pytest.raises(grpc.RpcError) as refused:
+            deform(bytes(65 << 20), timeout=30)
+        assert refused.value.code() == grpc.StatusCode.RESOURCE_EXHAUSTED
+
+
+def post(server: Server, path: str, body: bytes) -> tuple[int, bytes]:
+    connection = http.client.HTTPConnection(server.address, timeout=30)
+    connection.request("POST", path, body, {"content-type": "application/json"})
+    answer = connection.getresponse()
+    status, content = answer.status, answer.read()
+    connection.close()
+    return status, content

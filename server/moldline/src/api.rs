@@ -6,7 +6,7 @@ use bytes::Bytes;
 use moldline_host::{Principal, Product, Role, ServiceError, shorten};
 use moldline_mesh_service::{Service, SetupView, UploadHeader, Wanted};
 use moldline_proto::v1;
-use moldline_transport::{Deadline, Method};
+use moldline_transport::{Deadline, Method, media::beside};
 use tokio::sync::mpsc;
 use tokio_stream::{Stream, StreamExt};
 use tracing::{Instrument, Span};
@@ -84,7 +84,13 @@ impl MeshApi {
     ) -> Answer<v1::GetSetupResponse> {
         record_setup(&request.setup_id);
         let SetupView { setup, access } = self.service.get_setup(caller, &request.setup_id).await?;
-        let mesh = request.include_mesh.then(|| convert::setups::mesh(&setup));
+        let mesh = match request.include_mesh {
+            true => {
+                let (setup, bytes) = (Arc::clone(&setup), setup.engine.bytes());
+                Some(beside(bytes, move || Ok::<_, ServiceError>(convert::setups::mesh(&setup))).await?)
+            }
+            false => None,
+        };
         let control_points = match request.include_control_points {
             true => convert::setups::control_points(&setup)?,
             false => Vec::new(),

@@ -54,5 +54,8 @@ mod tests {
     fn columns_line_up() {
         let rows = [["a", "long name"], ["bb", "x"]].map(|row| row.map(str::to_owned));
         assert_eq!(render(&rows), "a   long name\nbb  x\n");
+        // Beyond what a format takes as a width.
+        let rows = ["x".to_owned(), "y".repeat(70_000)].map(|cell| [cell, "z".to_owned()]);
+        assert_eq!(render(&rows).lines().map(str::len).max(), Some(70_003));
     }
 }

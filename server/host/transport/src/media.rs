@@ -216,10 +216,10 @@ pub async fn read(headers: &HeaderMap, body: Body, limit: usize) -> Answer<Bytes
 ///
 /// # Errors
 /// Those of `work`.
-pub async fn beside<T: Send + 'static>(
+pub async fn beside<T: Send + 'static, E: From<ServiceError> + Send + 'static>(
     bytes: usize,
-    work: impl FnOnce() -> Answer<T> + Send + 'static,
-) -> Answer<T> {
+    work: impl FnOnce() -> Result<T, E> + Send + 'static,
+) -> Result<T, E> {
     /// Read within a fraction of a millisecond.
     const SHORT: usize = 64 << 10;
     /// As many as there are threads for requests.

@@ -53,6 +53,11 @@ pub fn visibility(
     let field = || format!("{prefix}visibility");
     let chosen = v1::Visibility::try_from(visibility)
         .map_err(|_| ServiceError::invalid(field(), format!("there is no visibility {visibility}")))?;
+    const MOST: usize = 256;
+    if shared_with.len() > MOST {
+        let description = format!("{} tenants are more than {MOST}; make it public", shared_with.len());
+        return Err(ServiceError::invalid(format!("{prefix}shared_with"), description));
+    }
     if chosen != v1::Visibility::Tenants && !shared_with.is_empty() {
         let description = "names tenants, and so the visibility has to be VISIBILITY_TENANTS";
         return Err(ServiceError::invalid(format!("{prefix}shared_with"), description));
