@@ -37,7 +37,7 @@ mod upload;
 
 pub use moldline_check::Report as CheckReport;
 pub use moldline_setup_files::ArchiveKind;
-pub use moldline_store::{Store, StoreError};
+pub use moldline_store::{Health, Schedule, Store, StoreError};
 
 pub use access::{Access, Listed, Page, Session, SessionUpdate, SetupSummary, Visibility};
 pub use checks::{CheckAt, CheckRequest};
