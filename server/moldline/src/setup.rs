@@ -72,7 +72,7 @@ pub fn report(options: &SetupOptions) -> Result<(), Failure> {
     say(&"\nfunctions")?;
     let functions = setup.functions().iter().zip(setup.reference_functions());
     let rows: Vec<_> =
-        functions.map(|(f, value)| [f.name.clone(), value.to_string(), f.unit.to_owned()]).collect();
+        functions.map(|(f, value)| [f.name.clone(), format!("{value:.6}"), f.unit.to_owned()]).collect();
     say(&table::render(&rows).trim_end())
 }
 

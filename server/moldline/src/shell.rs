@@ -18,7 +18,7 @@ use crate::{shutdown, telemetry, values};
 #[derive(Debug, Args)]
 pub struct ListenOptions {
     /// Address to listen on; port 0 takes a free one. Standard output gets one line with the bound address
-    #[arg(long, env = "MOLDLINE_LISTEN", default_value = "127.0.0.1:50051")]
+    #[arg(long, env = "MOLDLINE_LISTEN", default_value = "127.0.0.1:50051", value_parser = values::address)]
     pub listen: SocketAddr,
     /// Allow an address that other machines can reach, without authentication
     #[arg(long, env = "MOLDLINE_INSECURE_LISTEN")]
