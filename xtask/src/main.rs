@@ -10,6 +10,7 @@ mod clients;
 mod demo;
 mod fuzz;
 mod links;
+mod packages;
 mod process;
 mod python;
 mod tools;

@@ -35,7 +35,14 @@ pub async fn routes(
     let service = MeshServiceServer::new(Grpc { api })
         .max_decoding_message_size(max_message)
         .max_encoding_message_size(usize::MAX);
-    Ok((Routes::new(service), open, health))
+    let message = "this is Moldline's mesh service, not its panel service; name the address of a `moldline panel serve`";
+    Ok((refusing(Routes::new(service), "/moldline.v1.PanelService/{method}", message), open, health))
+}
+
+/// The routes, and the answer to calls of the other service: clients that met the wrong one are told so.
+pub fn refusing(routes: Routes, other: &str, message: &'static str) -> Routes {
+    let refuse = move || async move { Status::unimplemented(message).into_http::<axum::body::Body>() };
+    routes.into_axum_router().route(other, axum::routing::any(refuse)).into()
 }
 
 /// Routes of a service that need no principal: health, and reflection in both its versions.

@@ -19,7 +19,7 @@ use crate::{machine, shutdown, telemetry, values};
 #[derive(Debug, Args)]
 pub struct ListenOptions {
     /// Address to listen on; port 0 takes a free one. Standard output gets one line with the bound address
-    #[arg(long, env = "MOLDLINE_LISTEN", default_value = "127.0.0.1:50051")]
+    #[arg(long, env = "MOLDLINE_LISTEN", default_value = "127.0.0.1:50051", value_parser = values::address)]
     pub listen: SocketAddr,
     /// Address of a second port with /healthz, /readyz and /metrics alone, which asks for no credentials: for orchestrators and
     /// collectors, in a network of their own. Standard output gets a second line with it

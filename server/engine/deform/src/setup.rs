@@ -26,6 +26,7 @@ use crate::{
     },
     constraints::{Constraints, in_groups},
     error::Source,
+    fit::misfit,
     inspection::Inspection,
     ownership::{Ownership, OwnershipParts},
     report::{self, Findings, SetupReport},
@@ -169,9 +170,14 @@ impl Setup {
         let reach = Reach::new(bounds.center(), length);
         let baseline = parameterisation.control_points(&parameterisation.baseline());
         let baseline = baseline.map_err(SetupError::Baseline)?;
-        reach.check(&components, &baseline, |_| Source::Setup).map_err(SetupError::ControlPoints)?;
         let reference = bodies(&components, &baseline);
         let reference: Arc<[Body]> = reference.map_err(SetupError::ControlPoints)?.into();
+        reach.check(&components, &baseline, |_| Source::Setup).map_err(|error| {
+            match misfit(&mesh.vertices, &reference) {
+                Some(misfit) => SetupError::Misfit { misfit, error },
+                None => SetupError::ControlPoints(error),
+            }
+        })?;
 
         monitor.progress(Stage::Mesh, 0.0);
         let tolerance = options.surface_tolerance * length;

@@ -87,7 +87,7 @@ pub fn stored(files: Vec<(String, Bytes)>, limits: &Limits) -> Result<Read, Serv
 }
 
 fn read(mut files: Files, setup_file: Option<&str>, limits: &Limits) -> Result<Content, ServiceError> {
-    let SetupContent { name, input, files: used } = read_setup(&files, setup_file, &file_limits(limits))?;
+    let SetupContent { name, input, files: used, .. } = read_setup(&files, setup_file, &file_limits(limits))?;
     // A file to which the set-up refers twice is kept once.
     let used: Vec<(String, Vec<u8>)> =
         used.into_iter().filter_map(|path| files.remove_entry(&path)).collect();

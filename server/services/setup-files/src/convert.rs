@@ -32,6 +32,8 @@ pub struct SetupContent {
     pub name: String,
     /// The engine's input.
     pub input: SetupInput,
+    /// The file of its mesh, unless that is inline, and the unit of its coordinates, m.
+    pub mesh_file: Option<(String, f64)>,
     /// Its files: the set-up file, geometry, mesh. Other files that were uploaded are not part of it.
     pub files: Vec<String>,
 }
@@ -74,6 +76,8 @@ pub fn read_setup(
     }
     let variables: Vec<_> = document.parameterisation.variables.into_iter().map(variable).collect();
     let operations: Vec<_> = document.parameterisation.operations.into_iter().map(operation).collect();
+    let unit = document.mesh.unit.metres();
+    let mesh_file = document.mesh.file.as_deref().map(|file| clean_path("mesh.file", file)).transpose()?;
     // Independent, and both take time.
     let (mesh, parameterisation) = rayon::join(
         || reader.mesh(document.mesh),
@@ -89,6 +93,7 @@ pub fn read_setup(
     Ok(SetupContent {
         name: if document.name.is_empty() { setup_file } else { document.name },
         input: SetupInput { components, mesh, origin: origin.into(), parameterisation, outputs, options },
+        mesh_file: mesh_file.map(|file| (file, unit)),
         files: reader.used,
     })
 }
