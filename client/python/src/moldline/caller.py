@@ -93,6 +93,11 @@ class _Connection:
                 self._open = _Open(channel, self._STUB(channel), self._credential.metadata())
             return self._open
 
+    @property
+    def _stub(self) -> Any:
+        """The stub of this process."""
+        return self._connection().stub
+
     def _leave(self) -> Any:
         """Marks the client as closed; returns the channel that is to be closed, if any."""
         with self._lock:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields
+from datetime import datetime
 from typing import Any
 
 import numpy as np
@@ -41,6 +42,8 @@ def short(value: Any) -> str:
         return f"<{len(value)} entries>"
     if isinstance(value, float):
         return f"{value:.6g}"
+    if isinstance(value, datetime):
+        return f"{value:%Y-%m-%d %H:%M:%S %Z}"
     text = repr(value)
     return text if len(text) <= 120 else text[:117] + "..."
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import importlib
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 if TYPE_CHECKING:
-    from moldline.mesh import Mesh
+    from moldline.mesh import Block, Mesh
     from moldline.model import Deformation
 
 #: Where a picture is taken from: starboard, front and above; above; port; front.
@@ -30,21 +30,35 @@ def to_pyvista(
     mesh: Mesh, point_data: Mapping[str, ArrayLike] | None, cell_data: Mapping[str, ArrayLike] | None
 ) -> Any:
     """A `pyvista.PolyData`, its cells in the mesh's order."""
+    at_points = {"seam": mesh.seam.astype(np.uint8), **(point_data or {})}
+    surface = polygons(mesh.vertices, mesh.blocks(), at_points, {"owner": mesh.cell_owner, **(cell_data or {})})
+    surface.field_data["components"] = list(mesh.components)
+    return surface
+
+
+def polygons(
+    vertices: ArrayLike,
+    blocks: Sequence[Block],
+    point_data: Mapping[str, ArrayLike],
+    cell_data: Mapping[str, ArrayLike],
+) -> Any:
+    """A `pyvista.PolyData` of vertices, (n, 3), metres, and the blocks of a mesh's cells, in the mesh's order."""
     pyvista = _library("pyvista", "plot")
-    corners = np.where(mesh.triangles, 3, 4)
+    corners = np.empty(sum(len(block.places) for block in blocks), dtype=np.int64)
+    for block in blocks:
+        corners[block.places] = block.cells.shape[1]
     ends = np.cumsum(corners + 1)
     faces = np.empty(int(ends[-1]) if len(ends) else 0, dtype=np.int64)
     heads = ends - corners - 1
     faces[heads] = corners
-    for block in mesh.blocks():
+    for block in blocks:
         for corner in range(block.cells.shape[1]):
             faces[heads[block.places] + 1 + corner] = block.cells[:, corner]
-    surface = pyvista.PolyData(np.array(mesh.vertices), faces=faces)
-    for name, data in {"seam": mesh.seam.astype(np.uint8), **(point_data or {})}.items():
+    surface = pyvista.PolyData(np.array(vertices, dtype=np.float64), faces=faces)
+    for name, data in point_data.items():
         surface.point_data[name] = np.asarray(data)
-    for name, data in {"owner": mesh.cell_owner, **(cell_data or {})}.items():
+    for name, data in cell_data.items():
         surface.cell_data[name] = np.asarray(data)
-    surface.field_data["components"] = list(mesh.components)
     return surface
 
 
@@ -82,7 +96,7 @@ def plot(
     name, values, colours = _colours(mesh, surface, field)
     plotter = pyvista.Plotter(off_screen=path is not None, window_size=list(size))
     options: dict[str, Any] = {"show_edges": edges, "edge_color": "#404040", "line_width": 1, "copy_mesh": True}
-    if field == "components":
+    if isinstance(field, str) and field == "components":
         for index, component in enumerate(mesh.components):
             part = surface.extract_cells(np.flatnonzero(mesh.cell_owner == index))
             if part.n_cells:
@@ -95,6 +109,8 @@ def plot(
     centre = np.array(surface.center)
     plotter.camera_position = [tuple(centre + surface.length * np.array(away)), tuple(centre), up]
     plotter.reset_camera()
+    # It leaves room for every direction of sight; this one needs less.
+    plotter.camera.zoom(1.4)
     plotter.add_axes()
     if path is None:
         plotter.show()
