@@ -9,6 +9,8 @@ use moldline_mesh::{
     io::vtu::{self, Array, Values},
 };
 
+use moldline_mesh_service::explained;
+
 use crate::{
     failure::Failure,
     local::{self, Source},
@@ -46,7 +48,10 @@ pub fn run(options: &DeformOptions) -> Result<(), Failure> {
     let pool = local::pool(&options.source)?;
     let setup = pool.install(|| local::build(&options.source))?;
     let design = design(options, &setup)?;
-    let deformation = pool.install(|| local::with_bar(|monitor| setup.deform(&design, monitor)))?;
+    let deformation = pool.install(|| {
+        let explain = |error| explained(setup.origin(), error);
+        local::with_bar(|monitor| setup.deform(&design, monitor).map_err(explain))
+    })?;
 
     write(&options.output, &vtu_of(&setup, &deformation))?;
     say(&deformation.quality)?;

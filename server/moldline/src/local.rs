@@ -5,12 +5,13 @@ use std::{
     fs, io,
     num::NonZeroUsize,
     path::{Path, PathBuf},
+    sync::Arc,
 };
 
 use clap::Args;
 use moldline_deform::{Monitor, Setup, Stage};
 use moldline_host::{Cancellation, ServiceError};
-use moldline_mesh_service::reporter;
+use moldline_mesh_service::{explained, reporter};
 use moldline_setup_files::{ArchiveKind, Files, Limits, SetupFileError, read_folder, read_setup, unpack};
 
 use crate::{bar::Bar, failure::Failure, values};
@@ -38,7 +39,8 @@ pub fn build(source: &Source) -> Result<Setup, Failure> {
     let limits = Limits::default();
     let (files, setup_file) = read(source, &limits).map_err(ServiceError::from)?;
     let content = read_setup(&files, Some(&setup_file), &limits).map_err(ServiceError::from)?;
-    with_bar(|monitor| Setup::build(content.input, monitor))
+    let origin = Arc::clone(&content.input.origin);
+    with_bar(|monitor| Setup::build(content.input, monitor).map_err(|error| explained(&origin, error)))
 }
 
 /// Runs `work` with a progress bar.

@@ -4,8 +4,8 @@ use std::sync::Arc;
 
 use clap::Args;
 use metrics::{counter, gauge};
-use moldline_host::{CacheStatus, Principal};
-use moldline_mesh_service::{Limits, Service, Store};
+use moldline_host::CacheStatus;
+use moldline_mesh_service::{Limits, Service};
 use moldline_transport::{Gauges, Served};
 
 use crate::{
@@ -13,6 +13,7 @@ use crate::{
     failure::Failure,
     grpc, http,
     shell::{self, ComputeOptions, ListenOptions, Parts, ServeError},
+    store::Keeping,
 };
 
 /// Options of `moldline serve`.
@@ -37,9 +38,16 @@ pub struct ServeOptions {
     /// Largest number of open sessions per tenant
     #[arg(long, env = "MOLDLINE_MAX_SESSIONS", default_value_t = 1000)]
     pub max_sessions: usize,
-    /// Largest size of stored set-ups per tenant, MiB
+    /// Largest size of stored set-ups and sessions per tenant, MiB; 64 KiB of each session are free
     #[arg(long, env = "MOLDLINE_MAX_STORED", default_value_t = 65536, value_name = "MIB")]
     pub max_stored: u64,
+    /// Answer a tenant's first upload at once if others have the same content; otherwise it takes the time of its build, so that
+    /// it does not tell what others have
+    #[arg(long, env = "MOLDLINE_FAST_KNOWN_UPLOADS")]
+    pub fast_known_uploads: bool,
+    /// How the store is kept.
+    #[command(flatten)]
+    pub keeping: Keeping,
     /// Memory for set-ups, MiB; the least recently used are dropped, and loaded again when needed
     #[arg(long, env = "MOLDLINE_SETUP_MEMORY", default_value_t = 4096, value_name = "MIB")]
     pub setup_memory: usize,
@@ -56,6 +64,7 @@ impl ServeOptions {
             setups: self.max_setups,
             sessions: self.max_sessions,
             stored_bytes: self.max_stored.saturating_mul(1 << 20),
+            hide_known: !self.fast_known_uploads,
             load: self.compute.tenant_load,
             setup_bytes: self.setup_memory.saturating_mul(1 << 20),
             linearisation_bytes: self.linearisation_memory.saturating_mul(1 << 20),
@@ -68,7 +77,8 @@ impl ServeOptions {
 pub(crate) fn run(options: &ServeOptions) -> Result<(), Failure> {
     let runtime = shell::runtime()?;
     let outcome = runtime.block_on(async {
-        let store = Store::open(&options.store).await?;
+        let store = options.keeping.open(&options.store).await?;
+        options.keeping.start(store.clone());
         let service = Service::with_store(store, options.compute.pool(), options.limits())?;
         serve(options, Arc::new(service)).await
     });
@@ -109,10 +119,7 @@ fn gauges(service: Arc<Service>) -> Gauges {
     Arc::new(move || {
         let service = Arc::clone(&service);
         Box::pin(async move {
-            match service.status(&Principal::local()).await {
-                Ok(status) => record(&status),
-                Err(error) => tracing::warn!(%error, "cannot record load and memory"),
-            }
+            record(&service.figures().await);
         })
     })
 }

@@ -3,7 +3,7 @@
 use std::{collections::HashSet, sync::Arc};
 
 use moldline_geometry::{Aabb, Body, Component, Location, SmoothUnion};
-use moldline_mesh::{SurfaceMesh, Topology};
+use moldline_mesh::{Origin, SurfaceMesh, Topology};
 use moldline_parameterisation::Parameterisation;
 use moldline_rbf::Factors;
 use moldline_spline::Vector3;
@@ -29,6 +29,7 @@ use crate::{
     inspection::Inspection,
     ownership::{Ownership, OwnershipParts},
     report::{self, Findings, SetupReport},
+    soundness,
     symmetry::{InPlane, MeshSymmetry},
 };
 
@@ -39,6 +40,8 @@ pub struct SetupInput {
     pub components: Vec<Component>,
     /// The reference mesh.
     pub mesh: SurfaceMesh,
+    /// Where it comes from.
+    pub origin: Arc<Origin>,
     /// Design variables to control points.
     pub parameterisation: Parameterisation,
     /// Scalar outputs besides those that every set-up has.
@@ -76,6 +79,7 @@ pub struct FoundSeams {
 pub struct Setup {
     options: Options,
     pub(crate) mesh: Arc<SurfaceMesh>,
+    origin: Arc<Origin>,
     pub(crate) components: Vec<Arc<Component>>,
     /// The components in the reference state.
     reference: Arc<[Body]>,
@@ -142,12 +146,11 @@ impl Setup {
         derived: Derived,
         monitor: &dyn Monitor<Stage>,
     ) -> Result<Self, SetupError> {
-        let SetupInput { components, mesh, parameterisation, outputs, options } = input;
+        let SetupInput { components, mut mesh, origin, parameterisation, outputs, options } = input;
         options.validate()?;
         let names: Vec<String> = components.iter().map(|c| c.name().to_owned()).collect();
         check_names(&names, &options, &mesh)?;
         let components: Vec<Arc<Component>> = components.into_iter().map(Arc::new).collect();
-        let mesh = Arc::new(mesh);
         let bounds = Aabb::around(mesh.vertices.iter().map(|x| Vector3::from(*x)));
         let length = bounds.diagonal();
         let reach = Reach::new(bounds.center(), length);
@@ -160,9 +163,16 @@ impl Setup {
         monitor.progress(Stage::Mesh, 0.0);
         let tolerance = options.surface_tolerance * length;
         let topology = Topology::new(&mesh);
+        soundness::refuse_repeated_cells(&mesh, length)?;
+        soundness::refuse_branches(&mesh, &topology)?;
         let symmetry = MeshSymmetry::find(&mesh, &topology, tolerance, options.symmetric)?;
         let in_plane = symmetry.in_plane(&mesh);
-        let open_edges = symmetry.open_edges(&mesh, &topology, options.open_mesh)?;
+        let open_edges = symmetry.open_edges(&mesh, &topology);
+        if !open_edges.is_empty() && !options.open_mesh {
+            return Err(soundness::open_mesh(&mesh, &topology, &symmetry, &open_edges, length));
+        }
+        let turned_cells = soundness::turn_inward_pieces(&mut mesh, &topology, &symmetry, &open_edges);
+        let mesh = Arc::new(mesh);
 
         let mut ownership = Ownership::new(derived.ownership, &mesh, &reference, tolerance, monitor)?;
         let component_summaries = report::components(&ownership, &components);
@@ -201,8 +211,8 @@ impl Setup {
         .build(monitor)?;
 
         monitor.progress(Stage::Report, 0.0);
-        let origin = if symmetry.half().is_some() { Vector3::zeros() } else { positions[0] };
-        let outputs = Outputs::new(&outputs, &components, origin)?;
+        let apex = if symmetry.half().is_some() { Vector3::zeros() } else { positions[0] };
+        let outputs = Outputs::new(&outputs, &components, apex)?;
         let union = SmoothUnion::from_fillet(options.fillet.unwrap_or(5e-4 * length));
         let chain = Chain {
             motions: Motions::new(
@@ -258,6 +268,8 @@ impl Setup {
             options: &options,
             length,
             open_edges: open_edges.len(),
+            turned_cells,
+            left_out: origin.left_out,
             in_plane: in_plane.count(),
             stationary: stationary.iter().filter(|s| **s).count(),
             components: component_summaries,
@@ -269,6 +281,7 @@ impl Setup {
         Ok(Self {
             options,
             mesh,
+            origin,
             components,
             reference,
             positions,
@@ -282,6 +295,11 @@ impl Setup {
             inspection,
             report,
         })
+    }
+
+    /// Where the mesh comes from: the numbers of its parts in the user's file.
+    pub fn origin(&self) -> &Origin {
+        &self.origin
     }
 
     /// The report of the set-up.

@@ -1,5 +1,7 @@
 //! Limits on requests and on the memory of the service. All are checked before anything is allocated.
 
+use moldline_store::Quota;
+
 /// Upper limits; the defaults suit a workstation.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Limits {
@@ -25,8 +27,13 @@ pub struct Limits {
     pub setups: usize,
     /// Open sessions of one tenant.
     pub sessions: usize,
-    /// Bytes of one tenant's set-ups in the store.
+    /// Bytes of one tenant's set-ups in the store, and of its sessions beyond what is free.
     pub stored_bytes: u64,
+    /// Tenants with which one set-up is shared by name.
+    pub shared_with: usize,
+    /// Whether a tenant's first upload of content that the server knows takes the time of its build, so that it does not tell
+    /// what others have.
+    pub hide_known: bool,
     /// Running and waiting tasks of one tenant.
     pub load: usize,
     /// Bytes of a label.
@@ -65,6 +72,8 @@ impl Default for Limits {
             setups: 1000,
             sessions: 1000,
             stored_bytes: 64 << 30,
+            shared_with: 256,
+            hide_known: true,
             load: 64,
             label_bytes: 256,
             setup_bytes: 4 << 30,
@@ -74,5 +83,12 @@ impl Default for Limits {
             checks: 1,
             check_designs: 16,
         }
+    }
+}
+
+impl Limits {
+    /// What one tenant may hold in the store.
+    pub(crate) fn quota(&self) -> Quota {
+        Quota { setups: self.setups, sessions: self.sessions, bytes: self.stored_bytes }
     }
 }

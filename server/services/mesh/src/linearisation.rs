@@ -7,7 +7,7 @@ use moldline_host::{ServiceError, Timing, shorten};
 use moldline_parameterisation::{ControlPoints, Override, Parameterisation};
 use moldline_store::Numbers;
 
-use crate::{limits::Limits, setup_id::SetupId};
+use crate::{limits::Limits, read::explained, setup_id::SetupId};
 
 /// A design: the input of a deformation.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -134,7 +134,7 @@ impl Resolved {
         setup: &Arc<Setup>,
         monitor: &dyn Monitor<Stage>,
     ) -> Result<Linearised, ServiceError> {
-        let engine = setup.linearise(self.0, monitor)?;
+        let engine = setup.linearise(self.0, monitor).map_err(|error| explained(setup.origin(), error))?;
         Ok(Linearised { id, setup_id, engine, timing: Timing::default() })
     }
 }

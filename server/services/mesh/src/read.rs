@@ -3,6 +3,7 @@
 use bytes::Bytes;
 use moldline_deform::SetupInput;
 use moldline_host::ServiceError;
+use moldline_mesh::Origin;
 use moldline_setup_files::{Files, SetupContent, read_setup, unpack};
 use moldline_store::Manifest;
 
@@ -28,6 +29,11 @@ pub struct Content {
     pub read: Read,
     /// The set-up file, followed by the files to which it refers by path.
     pub files: Vec<(String, Vec<u8>)>,
+}
+
+/// An error of the engine for the user of a mesh file: behind the indices of vertices and cells come their numbers in the file.
+pub fn explained(origin: &Origin, error: impl Into<ServiceError>) -> ServiceError {
+    error.into().reworded(|text| origin.explain(text))
 }
 
 /// Reads an upload.

@@ -14,7 +14,7 @@ use moldline_check::Report;
 use moldline_host::{
     Cache, Code, ComputePool, Flights, PoolLimits, Principal, Product, ServiceError, Task, Tenant, shorten,
 };
-use moldline_store::{Claim, Store};
+use moldline_store::{Excess, Store};
 use tokio::sync::Semaphore;
 
 use crate::{
@@ -24,6 +24,7 @@ use crate::{
     session_index::SessionIndex,
     setup_cache::{SetupCache, StoredSetup},
     setup_id::SetupId,
+    status::Figures,
 };
 
 /// Records read from the store at a time.
@@ -40,6 +41,7 @@ pub struct Service {
     pub(crate) uploads: Semaphore,
     pub(crate) setups: SetupCache,
     pub(crate) sessions: SessionIndex,
+    pub(crate) figures: Arc<Figures>,
     /// Linearisations by tenant and id.
     pub(crate) linearisations: Arc<Cache<(Tenant, String), Linearised>>,
     /// Linearisations that are being computed for products.
@@ -74,6 +76,7 @@ impl Service {
             uploads: Semaphore::new(limits.uploads),
             setups: SetupCache::new(store.clone(), Arc::clone(&pool), &limits),
             sessions: SessionIndex::new(store.clone()),
+            figures: Arc::default(),
             linearisations: Arc::new(Cache::new(limits.linearisation_bytes as u64)),
             linearising: Flights::default(),
             check_permits: Arc::new(Semaphore::new(limits.checks)),
@@ -110,38 +113,35 @@ impl Service {
         }
     }
 
-    /// Binds a request id to the content of its request; whether the same request came before.
-    pub(crate) async fn claim(
-        &self,
-        caller: &Principal,
-        request_id: &str,
-        request: &[&str],
-    ) -> Result<bool, ServiceError> {
-        let limit = self.limits.request_id_bytes;
-        if request_id.len() > limit {
-            let length = request_id.len();
-            return Err(ServiceError::invalid(
-                "request_id",
-                format!("{length} bytes are more than the limit of {limit}"),
-            ));
+    /// Rejects a request id that is too long.
+    pub(crate) fn check_request_id(&self, request_id: &str) -> Result<(), ServiceError> {
+        let (length, limit) = (request_id.len(), self.limits.request_id_bytes);
+        if length <= limit {
+            return Ok(());
         }
-        let mut hasher = blake3::Hasher::new();
-        for part in request {
-            hasher.update(&(part.len() as u64).to_le_bytes());
-            hasher.update(part.as_bytes());
-        }
-        let hash = hasher.finalize().to_hex();
-        match self.store.claim(caller.tenant.as_str(), request_id, hash.as_str()).await? {
-            Claim::New => Ok(false),
-            Claim::Repeated => Ok(true),
-            Claim::Taken => Err(ServiceError::new(Code::AlreadyExists, "").at(
-                "request_id",
-                format!(
-                    "`{}` named a request with other content before; choose a new one",
-                    shorten(request_id)
-                ),
-            )),
-        }
+        Err(ServiceError::invalid("request_id", format!("{length} bytes are more than the limit of {limit}")))
+    }
+
+    /// The error that a tenant holds as much as it may. `more`: bytes that were to be added.
+    pub(crate) fn exceeds(&self, excess: Excess, more: u64) -> ServiceError {
+        let Limits { setups, sessions, stored_bytes, .. } = self.limits;
+        let message = match excess {
+            Excess::Sessions(open) => {
+                format!("{open} of your sessions are open, and the limit is {sessions}; close some")
+            }
+            Excess::Setups(held) => {
+                format!("you have {held} set-ups, and the limit is {setups}; delete some")
+            }
+            Excess::Bytes(held) => format!(
+                "your set-ups and sessions have {held} bytes, and {more} more exceed the limit of {stored_bytes}; delete some"
+            ),
+            Excess::Deleted(held) => format!(
+                "{} set-ups of {} bytes that you deleted are not collected yet, which is the limit; wait for the next \
+                 collection of the store",
+                held.count, held.bytes
+            ),
+        };
+        ServiceError::new(Code::ResourceExhausted, message)
     }
 
     /// As many of `entries` as fit a page.
@@ -161,8 +161,28 @@ impl Service {
     }
 }
 
+/// The hash by which a repeated request is recognised.
+pub(crate) fn request_hash(request: &[&str]) -> String {
+    let mut hasher = blake3::Hasher::new();
+    for part in request {
+        hasher.update(&(part.len() as u64).to_le_bytes());
+        hasher.update(part.as_bytes());
+    }
+    hasher.finalize().to_hex().to_string()
+}
+
+/// The error that a request id named another request before.
+pub(crate) fn taken(request_id: &str) -> ServiceError {
+    let request_id = shorten(request_id);
+    let text = format!("`{request_id}` named a request with other content before; choose a new one");
+    ServiceError::new(Code::AlreadyExists, "").at("request_id", text)
+}
+
 /// The names from the first one of a page on.
-pub(crate) fn after(names: Vec<String>, page: &Page) -> Iter<impl Iterator<Item = String>> {
+pub(crate) fn after(
+    names: impl IntoIterator<Item = String>,
+    page: &Page,
+) -> Iter<impl Iterator<Item = String>> {
     let token = page.token.clone();
     stream::iter(names.into_iter().filter(move |name| *name > token))
 }

@@ -80,6 +80,7 @@ impl Upload {
                 ),
             ));
         }
+        check_visibility("header.", header.visibility.as_ref(), limits)?;
         let sizes = match &header.source {
             UploadSource::Files(files) => {
                 check_files(files, limits)?;
@@ -177,6 +178,25 @@ fn check_files(files: &[FileEntry], limits: &Limits) -> Result<(), ServiceError>
         }
     }
     Ok(())
+}
+
+/// Rejects a list of tenants that is too long. `prefix`: of the field.
+///
+/// # Errors
+/// `InvalidArgument` naming the field.
+pub fn check_visibility(
+    prefix: &str,
+    visibility: Option<&Visibility>,
+    limits: &Limits,
+) -> Result<(), ServiceError> {
+    let Some(Visibility::Tenants(tenants)) = visibility else { return Ok(()) };
+    let (count, limit) = (tenants.len(), limits.shared_with);
+    if count <= limit {
+        return Ok(());
+    }
+    let text =
+        format!("{count} tenants are more than the limit of {limit}; share it with all, or with fewer");
+    Err(ServiceError::invalid(format!("{prefix}shared_with"), text))
 }
 
 #[cfg(test)]

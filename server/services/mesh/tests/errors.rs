@@ -47,7 +47,10 @@ fn errors_of_set_up_files() {
     assert_eq!(answer(SetupFileError::Mesh(coordinate())), invalid("mesh.vertices[7][2]"));
     assert_eq!(answer(SetupFileError::Mesh(MeshError::Empty { what: "cells" })), invalid("mesh.cells"));
     let file = |source| SetupFileError::MeshFile { file: "mesh.msh".to_owned(), source };
-    assert_eq!(answer(file(ReadError::Mesh(coordinate()))), invalid("mesh.vertices[7][2]"));
+    assert_eq!(
+        answer(file(ReadError::Mesh { error: coordinate(), message: coordinate().to_string() })),
+        invalid("mesh.vertices[7][2]")
+    );
     let syntax = |field: &str| SetupFileError::Syntax {
         file: "setup.toml".to_owned(),
         field: field.to_owned(),

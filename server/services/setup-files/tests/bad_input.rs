@@ -201,10 +201,10 @@ fn mesh_files() {
     assert!(error.to_string().starts_with("mesh (mesh.msh): line "), "{error}");
     d["mesh"] = json!({});
     assert_eq!(refused(&d), "mesh needs exactly one of file and (vertices with cells); found none");
-    d["mesh"] = json!({ "file": "mesh.msh", "merge_tolerance": 0.1 });
+    d["mesh"] = json!({ "file": "mesh.msh", "merge_tolerance": -0.1 });
     with_mesh.insert("setup.json".into(), d.to_string().into_bytes());
     let error = read_setup(&with_mesh, None, &Limits::default()).expect_err("meaningless");
-    assert_eq!(error.to_string(), "mesh.merge_tolerance = 0.1 applies to .stl files only; remove it");
+    assert_eq!(error.to_string(), "mesh.merge_tolerance = -0.1 must be 0 or greater");
 }
 
 #[test]
