@@ -16,7 +16,7 @@ from importlib.metadata import version as _version
 
 from moldline import panel
 from moldline.check import Check, CheckedDesign, CheckedVariable, Difference, DotProduct, Kink
-from moldline.client import Client, Session, Setup
+from moldline.client import Client, Session, Setup, serve
 from moldline.connection import TLS
 from moldline.designs import Design
 from moldline.errors import (
@@ -116,6 +116,7 @@ __all__ = [
     "Visibility",
     "Work",
     "panel",
+    "serve",
     "write_cells",
     "write_vtu",
 ]

@@ -21,6 +21,7 @@ from moldline import connection
 from moldline.calls import Call, Operation
 from moldline.connection import TLS, Credential
 from moldline.errors import MoldlineError, translated
+from moldline.private_server import PrivateServer
 from moldline.retry import Attempts, Deadline, Retry
 
 _LOG = logging.getLogger("moldline")
@@ -64,6 +65,8 @@ class _Connection:
         #: Process that made the channel, and whether the client is closed there.
         self._process = os.getpid()
         self._closed = False
+        #: A server that ends with the client.
+        self._server: PrivateServer | None = None
 
     @property
     def address(self) -> str:
@@ -178,6 +181,18 @@ class Caller(_Connection):
         """Closes the connection; running calls are cancelled."""
         if (channel := self._leave()) is not None:
             channel.close()
+        if self._server is not None:
+            self._server.close()
+
+    @classmethod
+    def _with_server(
+        cls: type[C], command: tuple[str, ...], binary: str | os.PathLike[str] | None, options: dict[str, Any]
+    ) -> C:
+        """A client of a server of its own."""
+        server = PrivateServer((*command, "--listen", "127.0.0.1:0"), binary)
+        client = cls(server.address, **options)
+        client._server = server
+        return client
 
     def __enter__(self: C) -> C:
         return self

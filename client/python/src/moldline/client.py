@@ -125,6 +125,31 @@ class Client(Caller):
         return setup.check(designs, **options)
 
 
+def serve(
+    *arguments: str,
+    store: str | os.PathLike[str] = "memory",
+    binary: str | os.PathLike[str] | None = None,
+    **options: Any,
+) -> Client:
+    """Starts a private server on a free port of this machine; returns a client of it, which ends it when it is closed.
+
+        with moldline.serve() as client:
+            setup = client.create_setup("examples/e175")
+
+    The server ends with this process too, however that one ends. `client.address` tells other programs where it is.
+
+    `arguments`: further ones of `moldline serve`, such as ``"--threads", "4"``. Variables of the environment for servers
+    (``MOLDLINE_...``) do not count.
+    `store`: what outlives the server, as for `moldline serve`: by default nothing.
+    `binary`: the program; else the one that the variable MOLDLINE_BINARY names, the one beside the interpreter, or the one
+    on the PATH.
+    `options`: of the client, such as `timeout`.
+
+    Raises `FileNotFoundError` if the program is not found, :class:`Unavailable` with its last words if it does not start.
+    """
+    return Client._with_server(("serve", "--store", os.fspath(store), *arguments), binary, options)
+
+
 class Setup(SetupFacts):
     """A set-up on the server: geometry, mesh, design variables and options. Immutable, and shared by all its users."""
 
