@@ -47,6 +47,7 @@ pub use linearisation::{
     ControlPointVectors, Design, Directions, Gradients, Linearised, Seeds, Values, Wanted,
 };
 pub use progress::reporter;
+pub use read::explained;
 pub use service::Service;
 pub use setup_cache::StoredSetup;
 pub use setup_id::SetupId;

@@ -16,7 +16,7 @@ use moldline_store::Store;
 use crate::{
     limits::Limits,
     progress::{progress, reporter},
-    read::{self, Content, Read},
+    read::{self, Content, Read, explained},
     setup_id::SetupId,
 };
 
@@ -125,7 +125,9 @@ impl SetupCache {
         let Some(files) = self.store.setup(id).await? else { return Ok(None) };
         let (store, pool) = (self.store.clone(), Arc::clone(&self.pool));
         let (tenant, limits) = (tenant.clone(), self.limits.clone());
-        let task = Task { kind: "load", tenant: tenant.clone(), setup: Some(id.to_owned()), session: None };
+        let memory = files.iter().map(|(path, content)| read::memory(path, content.len() as u64)).sum();
+        let task =
+            Task { kind: "load", tenant: tenant.clone(), setup: Some(id.to_owned()), session: None, memory };
         let name = SetupId::new(id.to_owned());
         let work = |reports: Reports<StoredSetup>| async move {
             let read = async { Ok(pool.run(task, move |_| read::stored(files, &limits)).await?.value) };
@@ -177,7 +179,13 @@ async fn make(
         None
     });
     let stored_as = id.clone();
-    let task = Task { kind: "build", tenant, setup: Some(id.to_string()), session: None };
+    let task = Task {
+        kind: "build",
+        tenant,
+        setup: Some(id.to_string()),
+        session: None,
+        memory: input.build_memory(),
+    };
     let (setup, derived) = pool
         .run(task, move |ticket| {
             let start = Instant::now();
@@ -186,12 +194,14 @@ async fn make(
                 reports.tell(progress);
             });
             let known = stored.and_then(|stored| Known::read(&stored));
+            let origin = Arc::clone(&input.origin);
+            let explain = |error| explained(&origin, error);
             let (engine, build_time, derived) = match known {
                 Some(Known { build_time, derived }) => {
-                    (Setup::restore(input, derived, &reporter)?, build_time, None)
+                    (Setup::restore(input, derived, &reporter).map_err(explain)?, build_time, None)
                 }
                 None => {
-                    let engine = Setup::build(input, &reporter)?;
+                    let engine = Setup::build(input, &reporter).map_err(explain)?;
                     let build_time = start.elapsed();
                     let known = Known { build_time, derived: engine.derived() };
                     (engine, build_time, Some(known.write()))
