@@ -70,8 +70,8 @@ class _Connection:
 
     @property
     def address(self) -> str:
-        """Address of the server; of a given channel, its type."""
-        return self._target if isinstance(self._target, str) else f"<{type(self._target).__name__}>"
+        """Address of the server, or that it is a given channel's."""
+        return self._target if isinstance(self._target, str) else "the given channel"
 
     def __repr__(self) -> str:
         security = "TLS" if self._tls else "plain text" if isinstance(self._target, str) else "given channel"
@@ -218,7 +218,7 @@ class Caller(_Connection):
                     step, result = operation.throw, error
 
     def _perform(self, call: Call, deadline: Deadline) -> Any:
-        attempts = Attempts(self._retry, deadline)
+        attempts = Attempts(self._retry, deadline, self.address)
         while True:
             try:
                 with translated(), _logged(call):
@@ -274,7 +274,7 @@ class AsyncCaller(_Connection):
                     step, result = operation.throw, error
 
     async def _perform(self, call: Call, deadline: Deadline) -> Any:
-        attempts = Attempts(self._retry, deadline)
+        attempts = Attempts(self._retry, deadline, self.address)
         while True:
             try:
                 with translated(), _logged(call):

@@ -47,6 +47,13 @@ class SetupFacts:
         self.functions: tuple[Function, ...] = tuple(Function(f.name, f.unit, f.value) for f in description.functions)
         self.vertex_count: int = description.vertex_count
         self.cell_count: int = description.cell_count
+        #: Cells of closed pieces that pointed inwards and were turned.
+        self.turned_cell_count: int = description.turned_cell_count
+        #: Parts of the mesh file that are not in the mesh: `nodes` without cells, `merged_nodes`, `other_cells` than
+        #: triangles and quadrilaterals, `collapsed_cells`.
+        self.left_out: dict[str, int] = {
+            field.name: getattr(description.left_out, field.name) for field in wire.LeftOut.DESCRIPTOR.fields
+        }
         #: Seconds that the engine took to build it.
         self.build_seconds: float = description.build_seconds
 

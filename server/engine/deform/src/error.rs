@@ -161,6 +161,14 @@ pub enum SetupError {
     /// The control points at the baseline do not fit the components.
     #[error("components: {0}")]
     ControlPoints(ControlPointsError),
+    /// The components are far outside the mesh, for a reason that can be told.
+    #[error("mesh: {misfit}. components: {error}")]
+    Misfit {
+        /// What is probably wrong.
+        misfit: Misfit,
+        /// A control point that is far outside.
+        error: ControlPointsError,
+    },
     /// A component is not a valid surface.
     #[error("components[{index}] (`{name}`): {source}")]
     Component {
@@ -546,6 +554,7 @@ impl Failure for SetupError {
                 format!("mesh.cells[{}]", cells[1])
             }
             Self::DoubleVertices { .. } => "mesh.merge_tolerance".to_owned(),
+            Self::Misfit { .. } => "mesh".to_owned(),
             Self::OpenMesh { .. } | Self::NonManifold { .. } | Self::ReferenceSeam(_) => "mesh".to_owned(),
         })
     }

@@ -361,6 +361,6 @@ fn refuse_off_surface(
     let count = off.len();
     off.truncate(LISTED);
     // A few vertices may be wrong in a mesh that fits as a whole.
-    let misfit = if 2 * count > vertices.len() { misfit(vertices, bodies) } else { None };
+    let misfit = if 4 * count >= vertices.len() { misfit(vertices, bodies) } else { None };
     Err(SetupError::OffSurface { count, tolerance, misfit, worst: off })
 }

@@ -26,6 +26,7 @@ use crate::{
     },
     constraints::{Constraints, in_groups},
     error::Source,
+    fit::misfit,
     inspection::Inspection,
     ownership::{Ownership, OwnershipParts},
     report::{self, Findings, SetupReport},
@@ -48,6 +49,19 @@ pub struct SetupInput {
     pub outputs: Vec<OutputDeclaration>,
     /// The user's choices.
     pub options: Options,
+}
+
+impl SetupInput {
+    /// An estimate of the memory that [`Setup::build`] takes at its peak, bytes: for the systems of the fields, of at most
+    /// `training_vertices` centres and, on a half model, their images, the matrix, its factor, and the factor as it is stored;
+    /// for the rest a multiple of the mesh.
+    pub fn build_memory(&self) -> u64 {
+        /// Topology, owners, seams and quality of a vertex or cell.
+        const EACH: u64 = 2048;
+        let mesh = (self.mesh.vertices.len() + self.mesh.cells.len()) as u64;
+        let centres = 2 * self.options.training_vertices.min(self.mesh.vertices.len()) as u64;
+        EACH * mesh + 3 * size_of::<f64>() as u64 * centres * centres
+    }
 }
 
 /// The results of a set-up's searches and factorisations, from which the same set-up is restored without doing them again.
@@ -156,9 +170,14 @@ impl Setup {
         let reach = Reach::new(bounds.center(), length);
         let baseline = parameterisation.control_points(&parameterisation.baseline());
         let baseline = baseline.map_err(SetupError::Baseline)?;
-        reach.check(&components, &baseline, |_| Source::Setup).map_err(SetupError::ControlPoints)?;
         let reference = bodies(&components, &baseline);
         let reference: Arc<[Body]> = reference.map_err(SetupError::ControlPoints)?.into();
+        reach.check(&components, &baseline, |_| Source::Setup).map_err(|error| {
+            match misfit(&mesh.vertices, &reference) {
+                Some(misfit) => SetupError::Misfit { misfit, error },
+                None => SetupError::ControlPoints(error),
+            }
+        })?;
 
         monitor.progress(Stage::Mesh, 0.0);
         let tolerance = options.surface_tolerance * length;
@@ -314,6 +333,13 @@ impl Setup {
         const OF_A_CELL: usize = 200;
         let fields: usize = self.fields().iter().map(|field| field.field.bytes()).sum();
         fields + OF_A_VERTEX * self.mesh.vertices.len() + OF_A_CELL * self.mesh.cells.len()
+    }
+
+    /// An estimate of the memory that a deformation and its linearisation take at their peak, bytes.
+    pub fn deformation_memory(&self) -> u64 {
+        /// Feet, bases and derivatives of every step, for each vertex.
+        const EACH: u64 = 2048;
+        EACH * self.mesh.vertices.len() as u64
     }
 
     /// The reference mesh, as given.

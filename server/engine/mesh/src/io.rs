@@ -72,7 +72,7 @@ impl Format {
 /// # Errors
 /// [`ReadError::MergeTolerance`] if the tolerance is too large.
 pub fn merged(mesh: SurfaceMesh, tolerance: f64, limits: &Limits) -> Result<Imported, ReadError> {
-    Draft::of_mesh(mesh).finish(Numbering::Points, Vec::new(), tolerance, limits)
+    Draft::of_mesh(mesh).finish(Numbering::Arrays, Vec::new(), tolerance, limits)
 }
 
 /// The mark that some editors put before a text in UTF-8.

@@ -10,6 +10,8 @@ pub enum Numbering {
     Indices,
     /// Tags of nodes and elements, as in MSH.
     Tags,
+    /// Indices of the arrays that a caller sent.
+    Arrays,
     /// Indices of points and cells from 0, as in VTU.
     Points,
     /// Facets from 0 and their corners, as in STL: corner `k` of facet `f` has the number `3 f + k`.
@@ -52,7 +54,8 @@ impl Origin {
             Numbering::Tags => Some(format!("node {number}")),
             Numbering::Points if number != u64::from(vertex) => Some(format!("points[{number}]")),
             Numbering::Facets => Some(format!("facets[{}][{}]", number / 3, number % 3)),
-            Numbering::Indices | Numbering::Points => None,
+            Numbering::Arrays if number != u64::from(vertex) => Some(format!("vertex {number} as sent")),
+            Numbering::Indices | Numbering::Arrays | Numbering::Points => None,
         }
     }
 
@@ -63,7 +66,8 @@ impl Origin {
             Numbering::Tags => Some(format!("element {number}")),
             Numbering::Points if number != u64::from(cell) => Some(format!("the file's cells[{number}]")),
             Numbering::Facets => Some(format!("facets[{number}]")),
-            Numbering::Indices | Numbering::Points => None,
+            Numbering::Arrays if number != u64::from(cell) => Some(format!("cell {number} as sent")),
+            Numbering::Indices | Numbering::Arrays | Numbering::Points => None,
         }
     }
 

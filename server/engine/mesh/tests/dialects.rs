@@ -412,7 +412,7 @@ fn tetrahedron() -> SurfaceMesh {
         [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]].map(|[a, b, c]| Cell::triangle(a, b, c)).to_vec();
     let group = |name: &str, indices: Vec<u32>| Group { name: name.to_owned(), indices };
     SurfaceMesh::new(vertices, cells, vec![group("low", vec![0, 2]), group("high", vec![1, 3])], vec![])
-        .unwrap()
+        .expect("is valid")
 }
 
 /// A binary STL with the given head.
@@ -477,8 +477,11 @@ fn not_a_number_is_located_by_facet() {
     assert_eq!(at(&stl::write(&mesh)), (Place::Line(11), 1, 2, 1));
 }
 
-/// A VTU file of these pieces, each with positions, cells of three corners, and members of the group `g`.
-fn pieces(pieces: &[(&[[f64; 3]], &[[usize; 3]], &str, &str)]) -> Vec<u8> {
+/// Positions, corners of cells, members of the group `g`, and ghosts.
+type Piece<'a> = (&'a [[f64; 3]], &'a [[usize; 3]], &'a str, &'a str);
+
+/// A VTU file of these pieces.
+fn pieces(pieces: &[Piece<'_>]) -> Vec<u8> {
     let mut out = "<VTKFile type=\"UnstructuredGrid\"><UnstructuredGrid>".to_owned();
     for (points, cells, members, ghosts) in pieces {
         let text = |values: Vec<String>| values.join(" ");

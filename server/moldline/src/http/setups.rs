@@ -225,7 +225,7 @@ pub async fn get_setup(
 ) -> Answer<Response> {
     let media = Media::accepted(&headers, &ARRAYS)?;
     let request = v1::GetSetupRequest { setup_id, include_mesh, include_control_points };
-    http.api.get_setup(&caller, request).await?.respond(media)
+    http.api.get_setup(&caller, request).await?.respond(media).await
 }
 
 /// Deletes a set-up of the caller's own

@@ -1,5 +1,6 @@
 //! Limits on requests and on the memory of the service. All are checked before anything is allocated.
 
+use moldline_host::Sharing;
 use moldline_store::Quota;
 
 /// Upper limits; the defaults suit a workstation.
@@ -11,6 +12,10 @@ pub struct Limits {
     pub upload_files: usize,
     /// Uploads at a time.
     pub uploads: usize,
+    /// Working memory of requests under way, bytes: messages, uploads, builds, answers. Caches have their own.
+    pub memory: u64,
+    /// Whether tenants share places and memory, or one may take all.
+    pub sharing: Sharing,
     /// Bytes of one chunk.
     pub chunk_bytes: usize,
     /// Bytes of a path.
@@ -58,7 +63,9 @@ impl Default for Limits {
         Self {
             upload_bytes: 256 * MIB,
             upload_files: 1000,
-            uploads: 8,
+            uploads: 16,
+            memory: 4 << 30,
+            sharing: Sharing::Fair,
             chunk_bytes: 1 << 20,
             path_bytes: 1024,
             request_id_bytes: 128,

@@ -1,10 +1,7 @@
 //! The service: its state, and what all its methods share. The methods are in `setups`, `sessions`, `derivatives`, `checks` and
 //! `status`.
 
-use std::{
-    sync::Arc,
-    time::{Duration, Instant},
-};
+use std::{sync::Arc, time::Instant};
 
 use futures::{
     Stream, StreamExt, TryStreamExt, future,
@@ -12,10 +9,10 @@ use futures::{
 };
 use moldline_check::Report;
 use moldline_host::{
-    Cache, Code, ComputePool, Flights, PoolLimits, Principal, Product, ServiceError, Task, Tenant, shorten,
+    Cache, Code, ComputePool, Flights, PoolLimits, Principal, Product, ServiceError, Supply, Task, Tenant,
+    shorten,
 };
 use moldline_store::{Excess, Store};
-use tokio::sync::Semaphore;
 
 use crate::{
     access::{Listed, Page},
@@ -37,8 +34,8 @@ pub struct Service {
     pub(crate) started: Instant,
     pub(crate) store: Store,
     pub(crate) pool: Arc<ComputePool>,
-    /// One permit for each upload that may be in progress.
-    pub(crate) uploads: Semaphore,
+    /// Places of uploads.
+    pub(crate) uploads: Arc<Supply>,
     pub(crate) setups: SetupCache,
     pub(crate) sessions: SessionIndex,
     pub(crate) figures: Arc<Figures>,
@@ -46,8 +43,8 @@ pub struct Service {
     pub(crate) linearisations: Arc<Cache<(Tenant, String), Linearised>>,
     /// Linearisations that are being computed for products.
     pub(crate) linearising: Flights<(Tenant, String), Linearised>,
-    /// One permit for each check that may run.
-    pub(crate) check_permits: Arc<Semaphore>,
+    /// Places of checks.
+    pub(crate) check_places: Arc<Supply>,
     /// Checks in progress, by set-up and request.
     pub(crate) checks: Flights<(SetupId, String), Product<Report>>,
 }
@@ -70,16 +67,18 @@ impl Service {
         pool: PoolLimits,
         limits: Limits,
     ) -> Result<Self, rayon::ThreadPoolBuildError> {
-        let pool = Arc::new(ComputePool::new(pool, limits.load)?);
+        let sharing = limits.sharing;
+        let memory = Supply::new("bytes of working memory", "--memory", limits.memory, sharing);
+        let pool = Arc::new(ComputePool::sharing(pool, limits.load, sharing, memory)?);
         Ok(Self {
             started: Instant::now(),
-            uploads: Semaphore::new(limits.uploads),
+            uploads: Supply::new("uploads at a time", "--uploads", limits.uploads as u64, sharing),
             setups: SetupCache::new(store.clone(), Arc::clone(&pool), &limits),
             sessions: SessionIndex::new(store.clone()),
             figures: Arc::default(),
             linearisations: Arc::new(Cache::new(limits.linearisation_bytes as u64)),
             linearising: Flights::default(),
-            check_permits: Arc::new(Semaphore::new(limits.checks)),
+            check_places: Supply::new("checks at a time", "--checks", limits.checks as u64, sharing),
             checks: Flights::default(),
             pool,
             store,
@@ -90,6 +89,19 @@ impl Service {
     /// The limits in force.
     pub fn limits(&self) -> &Limits {
         &self.limits
+    }
+
+    /// The working memory.
+    pub fn memory(&self) -> &Arc<Supply> {
+        self.pool.memory()
+    }
+
+    /// Whether the pool gets work done.
+    ///
+    /// # Errors
+    /// As [`ComputePool::moving`].
+    pub fn moving(&self) -> Result<(), String> {
+        self.pool.moving()
     }
 
     /// Number of running and waiting tasks.
@@ -110,6 +122,7 @@ impl Service {
             tenant: caller.tenant.clone(),
             setup: Some(setup.id.to_string()),
             session: Some(session_id.to_owned()),
+            memory: 0,
         }
     }
 
@@ -185,9 +198,4 @@ pub(crate) fn after(
 ) -> Iter<impl Iterator<Item = String>> {
     let token = page.token.clone();
     stream::iter(names.into_iter().filter(move |name| *name > token))
-}
-
-pub(crate) fn too_many(what: &str, limit: usize) -> ServiceError {
-    let message = format!("the limit of {limit} {what} at a time is reached; try again later");
-    ServiceError::new(Code::ResourceExhausted, message).retry_after(Duration::from_secs(1))
 }

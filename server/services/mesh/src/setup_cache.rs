@@ -125,7 +125,9 @@ impl SetupCache {
         let Some(files) = self.store.setup(id).await? else { return Ok(None) };
         let (store, pool) = (self.store.clone(), Arc::clone(&self.pool));
         let (tenant, limits) = (tenant.clone(), self.limits.clone());
-        let task = Task { kind: "load", tenant: tenant.clone(), setup: Some(id.to_owned()), session: None };
+        let memory = files.iter().map(|(path, content)| read::memory(path, content.len() as u64)).sum();
+        let task =
+            Task { kind: "load", tenant: tenant.clone(), setup: Some(id.to_owned()), session: None, memory };
         let name = SetupId::new(id.to_owned());
         let work = |reports: Reports<StoredSetup>| async move {
             let read = async { Ok(pool.run(task, move |_| read::stored(files, &limits)).await?.value) };
@@ -177,7 +179,13 @@ async fn make(
         None
     });
     let stored_as = id.clone();
-    let task = Task { kind: "build", tenant, setup: Some(id.to_string()), session: None };
+    let task = Task {
+        kind: "build",
+        tenant,
+        setup: Some(id.to_string()),
+        session: None,
+        memory: input.build_memory(),
+    };
     let (setup, derived) = pool
         .run(task, move |ticket| {
             let start = Instant::now();

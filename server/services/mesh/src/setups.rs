@@ -6,14 +6,14 @@ use std::{
 };
 
 use futures::StreamExt;
-use moldline_host::{Principal, Progress, Role, ServiceError, Task, Tenant};
+use moldline_host::{Principal, Progress, Role, ServiceError, Share, Task, Tenant, Ticket};
 use moldline_store::{AccessRecord, Claim, Kind, Reservation, Shared, StoreError, unless_damaged};
 
 use crate::{
     access::{Access, Listed, Page, SetupSummary, Visibility},
     limits::Limits,
     read,
-    service::{AT_ONCE, Service, after, request_hash, taken, too_many},
+    service::{AT_ONCE, Service, after, request_hash, taken},
     setup_cache::StoredSetup,
     setup_id::SetupId,
     upload::{Upload, UploadHeader, Uploaded, check_visibility},
@@ -44,7 +44,8 @@ pub struct SetupView {
 pub struct Receiving<'a> {
     upload: Upload,
     limits: &'a Limits,
-    _place: tokio::sync::SemaphorePermit<'a>,
+    memory: Share,
+    _place: Share,
 }
 
 impl Service {
@@ -55,9 +56,10 @@ impl Service {
     /// `PermissionDenied` to readers.
     pub fn receive(&self, caller: &Principal, header: UploadHeader) -> Result<Receiving<'_>, ServiceError> {
         caller.need(Role::User)?;
-        let place = self.uploads.try_acquire().map_err(|_| too_many("uploads", self.limits.uploads))?;
+        let place = self.uploads.take(&caller.tenant, "the upload", 1)?;
+        let memory = self.memory().take(&caller.tenant, "the upload", 0)?;
         let upload = Upload::begin(header, &self.limits)?;
-        Ok(Receiving { upload, limits: &self.limits, _place: place })
+        Ok(Receiving { upload, limits: &self.limits, memory, _place: place })
     }
 
     /// Builds an uploaded set-up, or finds the one with the same content, and stores it. Dropping the future abandons it; the
@@ -69,7 +71,7 @@ impl Service {
     pub async fn create_setup(
         &self,
         caller: &Principal,
-        uploaded: Uploaded,
+        mut uploaded: Uploaded,
         mut tell: impl FnMut(Progress),
     ) -> Result<Created, ServiceError> {
         caller.need(Role::User)?;
@@ -78,8 +80,14 @@ impl Service {
         let request_id = uploaded.header.request_id.clone();
         let visibility = uploaded.header.visibility.clone();
         let limits = self.limits.clone();
-        let task = Task { kind: "read", tenant: tenant.clone(), setup: None, session: None };
-        let mut content = self.pool.run(task, move |_| read::uploaded(uploaded, &limits)).await?.value;
+        let mut memory = match uploaded.memory.take() {
+            Some(memory) => memory,
+            None => self.memory().take(tenant, "the upload", uploaded.bytes())?,
+        };
+        let task = Task { kind: "read", tenant: tenant.clone(), setup: None, session: None, memory: 0 };
+        let read = move |_: &Ticket| Ok((read::uploaded(uploaded, &limits, &mut memory)?, memory));
+        // Held until the set-up is stored.
+        let (mut content, _memory) = self.pool.run(task, read).await?.value;
         let id = content.id.to_string();
         tell(Progress { stage: "read", fraction: 1.0, message: format!("set-up {id}") });
 
@@ -258,8 +266,9 @@ impl Receiving<'_> {
     /// Appends bytes to a file.
     ///
     /// # Errors
-    /// `InvalidArgument` if they do not fit the header.
+    /// `InvalidArgument` if they do not fit the header, `ResourceExhausted` if there is no memory for them.
     pub fn append(&mut self, file: usize, data: &[u8]) -> Result<(), ServiceError> {
+        self.memory.grow("the upload", data.len() as u64)?;
         self.upload.append(file, data, self.limits)
     }
 
@@ -274,7 +283,7 @@ impl Receiving<'_> {
     /// # Errors
     /// `InvalidArgument` naming the first incomplete file.
     pub fn finish(self) -> Result<Uploaded, ServiceError> {
-        self.upload.finish()
+        Ok(Uploaded { memory: Some(self.memory), ..self.upload.finish()? })
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::collections::HashSet;
 
-use moldline_host::{ServiceError, shorten};
+use moldline_host::{ServiceError, Share, shorten};
 use moldline_setup_files::ArchiveKind;
 
 use crate::{access::Visibility, limits::Limits};
@@ -61,6 +61,15 @@ pub struct Uploaded {
     pub header: UploadHeader,
     /// The bytes of each file in the header's order; one entry for an archive.
     pub contents: Vec<Vec<u8>>,
+    /// The memory taken for them.
+    pub(crate) memory: Option<Share>,
+}
+
+impl Uploaded {
+    /// Bytes of all files.
+    pub fn bytes(&self) -> u64 {
+        self.contents.iter().map(|content| content.len() as u64).sum()
+    }
 }
 
 impl Upload {
@@ -152,7 +161,7 @@ impl Upload {
                 ));
             }
         }
-        Ok(Uploaded { header: self.header, contents: self.contents })
+        Ok(Uploaded { header: self.header, contents: self.contents, memory: None })
     }
 }
 

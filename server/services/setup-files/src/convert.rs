@@ -22,6 +22,9 @@ use crate::outputs::output;
 use crate::parse::{parse_geometry, parse_setup};
 use crate::{SetupFileError, document};
 
+/// Longest name of a set-up, component, patch, group or variable, bytes.
+const LONGEST_NAME: usize = 256;
+
 /// A set-up that has been read, ready for [`moldline_deform::Setup::build`].
 #[derive(Clone, Debug)]
 pub struct SetupContent {
@@ -29,6 +32,8 @@ pub struct SetupContent {
     pub name: String,
     /// The engine's input.
     pub input: SetupInput,
+    /// The file of its mesh, unless that is inline, and the unit of its coordinates, m.
+    pub mesh_file: Option<(String, f64)>,
     /// Its files: the set-up file, geometry, mesh. Other files that were uploaded are not part of it.
     pub files: Vec<String>,
 }
@@ -71,6 +76,8 @@ pub fn read_setup(
     }
     let variables: Vec<_> = document.parameterisation.variables.into_iter().map(variable).collect();
     let operations: Vec<_> = document.parameterisation.operations.into_iter().map(operation).collect();
+    let unit = document.mesh.unit.metres();
+    let mesh_file = document.mesh.file.as_deref().map(|file| clean_path("mesh.file", file)).transpose()?;
     // Independent, and both take time.
     let (mesh, parameterisation) = rayon::join(
         || reader.mesh(document.mesh),
@@ -82,11 +89,52 @@ pub fn read_setup(
     let outputs =
         outputs.map(|(index, document)| output(index, document, &components)).collect::<Result<_, _>>()?;
     let options = document.options.to_options();
+    check_names(&document.name, &components, &mesh, &parameterisation)?;
     Ok(SetupContent {
         name: if document.name.is_empty() { setup_file } else { document.name },
         input: SetupInput { components, mesh, origin: origin.into(), parameterisation, outputs, options },
+        mesh_file: mesh_file.map(|file| (file, unit)),
         files: reader.used,
     })
+}
+
+/// Refuses names that no table, log line or header has room for.
+fn check_names(
+    title: &str,
+    components: &[Component],
+    mesh: &SurfaceMesh,
+    parameterisation: &Parameterisation,
+) -> Result<(), SetupFileError> {
+    let title = [("name".to_owned(), title)];
+    let components = components.iter().enumerate().flat_map(|(i, component)| {
+        let field = format!("components[{i}]");
+        let patches = component.patches().iter().enumerate();
+        let of_patch = format!("{field}.patches");
+        let patches = patches.map(move |(k, patch)| (format!("{of_patch}[{k}].name"), patch.name.as_str()));
+        std::iter::once((format!("{field}.name"), component.name())).chain(patches)
+    });
+    let kinds = [("cell_groups", &mesh.cell_groups), ("vertex_groups", &mesh.vertex_groups)];
+    let groups = kinds.into_iter().flat_map(|(kind, groups)| {
+        let groups = groups.iter().enumerate();
+        groups.map(move |(i, group)| (format!("mesh.{kind}[{i}].name"), group.name.as_str()))
+    });
+    let variables = parameterisation.variables().iter().enumerate();
+    let variables = variables
+        .map(|(i, variable)| (format!("parameterisation.variables[{i}].name"), variable.name.as_str()));
+    match title
+        .into_iter()
+        .chain(components)
+        .chain(groups)
+        .chain(variables)
+        .find(|(_, name)| name.len() > LONGEST_NAME)
+    {
+        None => Ok(()),
+        Some((field, name)) => Err(SetupFileError::Value {
+            field,
+            value: format!("'{}...'", name.chars().take(32).collect::<String>()),
+            requirement: format!("has {} bytes; names have {LONGEST_NAME} at most", name.len()),
+        }),
+    }
 }
 
 struct Reader<'a> {

@@ -326,3 +326,25 @@ fn paths_that_leave_the_folder() {
     }
     assert!(with(&"x".repeat(1000)).contains("is too long"));
 }
+
+#[test]
+fn names_have_a_length() {
+    let long = "n".repeat(257);
+    for (pointer, field) in [
+        ("/name", "name"),
+        ("/components/0/name", "components[0].name"),
+        ("/mesh/vertex_groups/0/name", "mesh.vertex_groups[0].name"),
+    ] {
+        let mut spoilt = document();
+        *spoilt.pointer_mut(pointer).expect(pointer) = json!(long);
+        let error = refused(&spoilt);
+        assert!(error.starts_with(field) && error.contains("257 bytes"), "{error}");
+        assert!(error.len() < 200, "{error}");
+    }
+}
+
+#[test]
+fn toml_has_a_size() {
+    let error = toml_with(&"# a long remark\n".repeat(1 << 20));
+    assert!(error.contains("bytes of TOML"), "{error}");
+}

@@ -1,7 +1,7 @@
 //! Objects by name: create if absent, read, list, delete; none of them on a store that vanished.
 
 use std::{
-    io,
+    io::{self, Read},
     path::{Path as FilePath, PathBuf},
     sync::{Arc, Mutex, OnceLock, PoisonError},
     time::{Duration, Instant, SystemTime},
@@ -144,17 +144,41 @@ impl Backend {
         if self.folder.is_none() && seen.is_some_and(|seen| seen.elapsed() < SEEN) {
             return Ok(());
         }
+        if let Some(folder) = &self.folder {
+            let (folder, expected) = (Arc::clone(folder), expected.clone());
+            return blocking(IDENTITY, move || Ok(is_same(&folder, &expected))).await?;
+        }
         let vanished = |reason: &str| Err(StoreError::Vanished { reason: reason.to_owned() });
         let found = match self.objects.get(&self.path(IDENTITY)).await {
             Ok(found) => found.bytes().await,
-            Err(object_store::Error::NotFound { .. }) => return vanished("its identity record is missing"),
+            Err(object_store::Error::NotFound { .. }) => return vanished(MISSING),
             Err(error) => Err(error),
         };
         if found.map_err(|error| StoreError::of(IDENTITY, &error))? != *expected {
-            return vanished("another store is in its place");
+            return vanished(ANOTHER);
         }
         *self.identity.seen.lock().unwrap_or_else(PoisonError::into_inner) = Some(Instant::now());
         Ok(())
+    }
+
+    /// Reads from the folder `folder`, if objects are files; then makes sure that it was the right one. All in one step.
+    async fn local<T: Send + 'static>(
+        &self,
+        folder: &Arc<PathBuf>,
+        name: &str,
+        read: impl FnOnce(&FilePath) -> io::Result<T> + Send + 'static,
+    ) -> Result<Option<T>, StoreError> {
+        let (folder, expected, path) =
+            (Arc::clone(folder), self.identity.expected.get().cloned(), name.to_owned());
+        let read = move || {
+            let found = match read(&folder.join(path)) {
+                Ok(found) => Some(found),
+                Err(error) if absent(&error) => None,
+                Err(error) => return Err(error),
+            };
+            Ok(expected.map_or(Ok(()), |expected| is_same(&folder, &expected)).map(|()| found))
+        };
+        blocking(name, read).await?
     }
 
     /// Creates an object durably; `false` if the name exists.
@@ -209,6 +233,19 @@ impl Backend {
 
     /// Content and age of an object, if it exists.
     pub async fn read(&self, name: &str) -> Result<Option<(Bytes, SystemTime)>, StoreError> {
+        if let Some(folder) = &self.folder {
+            let content = |path: &FilePath| {
+                let mut file = std::fs::File::open(path)?;
+                let about = file.metadata()?;
+                if about.is_dir() {
+                    return Err(io::ErrorKind::NotFound.into());
+                }
+                let mut data = Vec::with_capacity(usize::try_from(about.len()).unwrap_or(0));
+                file.read_to_end(&mut data)?;
+                Ok((data.into(), about.modified()?))
+            };
+            return self.local(folder, name, content).await;
+        }
         let found = match self.objects.get(&self.path(name)).await {
             Ok(found) => found,
             Err(object_store::Error::NotFound { .. }) => return self.present().await.map(|()| None),
@@ -227,6 +264,13 @@ impl Backend {
 
     /// Time of the last write of an object, if it exists.
     pub async fn modified(&self, name: &str) -> Result<Option<SystemTime>, StoreError> {
+        if let Some(folder) = &self.folder {
+            let modified = |path: &FilePath| match std::fs::metadata(path)? {
+                about if about.is_file() => about.modified(),
+                _ => Err(io::ErrorKind::NotFound.into()),
+            };
+            return self.local(folder, name, modified).await;
+        }
         let found = match self.objects.head(&self.path(name)).await {
             Ok(meta) => Some(meta.last_modified.into()),
             Err(object_store::Error::NotFound { .. }) => None,
@@ -258,21 +302,21 @@ impl Backend {
     /// Names one level below a name, sorted. Their objects are not looked at.
     pub async fn children(&self, below: &str) -> Result<Vec<String>, StoreError> {
         let mut names = match &self.folder {
-            Some(folder) => {
-                let folder = folder.join(below);
-                blocking(below, move || names_in(&folder)).await?
+            Some(folder) => self.local(folder, below, names_in).await?.unwrap_or_default(),
+            None => {
+                let names = match self.objects.list_with_delimiter(Some(&self.path(below))).await {
+                    Ok(found) => {
+                        let objects = found.objects.iter().map(|meta| &meta.location);
+                        let all = found.common_prefixes.iter().chain(objects);
+                        all.filter_map(|path| path.filename().map(str::to_owned)).collect()
+                    }
+                    Err(object_store::Error::NotFound { .. }) => Vec::new(),
+                    Err(error) => return Err(StoreError::of(below, &error)),
+                };
+                self.present().await?;
+                names
             }
-            None => match self.objects.list_with_delimiter(Some(&self.path(below))).await {
-                Ok(found) => {
-                    let objects = found.objects.iter().map(|meta| &meta.location);
-                    let all = found.common_prefixes.iter().chain(objects);
-                    all.filter_map(|path| path.filename().map(str::to_owned)).collect()
-                }
-                Err(object_store::Error::NotFound { .. }) => Vec::new(),
-                Err(error) => return Err(StoreError::of(below, &error)),
-            },
         };
-        self.present().await?;
         names.sort();
         Ok(names)
     }
@@ -304,14 +348,28 @@ pub(crate) async fn blocking<T: Send + 'static>(
     done.map_err(|error| StoreError::of_system(object, &error))
 }
 
+/// Whether an error says that there is nothing of that name.
+fn absent(error: &io::Error) -> bool {
+    matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory)
+}
+
+const MISSING: &str = "its identity record is missing";
+const ANOTHER: &str = "another store is in its place";
+
+/// Whether a folder has the identity that is expected.
+fn is_same(folder: &FilePath, expected: &[u8]) -> Result<(), StoreError> {
+    let vanished = |reason: &str| Err(StoreError::Vanished { reason: reason.to_owned() });
+    match std::fs::read(folder.join(IDENTITY)) {
+        Ok(found) if found == expected => Ok(()),
+        Ok(_) => vanished(ANOTHER),
+        Err(error) if absent(&error) => vanished(MISSING),
+        Err(error) => Err(StoreError::of_system(IDENTITY, &error)),
+    }
+}
+
 /// Names in a folder, without those of files that are being written.
 fn names_in(folder: &FilePath) -> io::Result<Vec<String>> {
-    let entries = match std::fs::read_dir(folder) {
-        Ok(entries) => entries,
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
-        Err(error) => return Err(error),
-    };
-    let names = entries.map(|entry| Ok(entry?.file_name().to_string_lossy().into_owned()));
+    let names = std::fs::read_dir(folder)?.map(|entry| Ok(entry?.file_name().to_string_lossy().into_owned()));
     names.filter(|name| !name.as_ref().is_ok_and(|name| is_staged(name))).collect()
 }
 

@@ -123,8 +123,9 @@ impl Store {
         // Content is listed last: what is uploaded meanwhile is young.
         for tenant in &tenants {
             let began = Instant::now();
-            self.look_at_access(tenant, grace, &mut found).await?;
-            self.look_at_sessions(tenant, &mut found).await?;
+            let used = self.look_at_sessions(tenant, &mut found).await?;
+            self.look_at_access(tenant, &used, grace, &mut found).await?;
+            found.needed.extend(used);
             for below in ["closed", "request"] {
                 let objects = self.backend.list(&format!("{below}/{tenant}")).await?;
                 found.garbage.extend(objects.into_iter().filter(|object| older(object.modified, REMEMBERED)));
@@ -176,6 +177,7 @@ impl Store {
     async fn look_at_access(
         &self,
         tenant: &str,
+        used: &BTreeSet<String>,
         grace: Duration,
         found: &mut Found,
     ) -> Result<(), StoreError> {
@@ -184,8 +186,9 @@ impl Store {
             let Some(last) = generations.last() else { continue };
             let record: Option<AccessRecord> = self.record(&last.name).await?;
             match record {
-                // What was deleted just now may be in use by a session that is being opened.
-                Some(record) if !record.owned && older(last.modified, grace) => {}
+                // What was deleted just now may be in use by a session that is being opened; and that the tenant had uploaded it
+                // is what its sessions rely upon.
+                Some(record) if !record.owned && older(last.modified, grace) && !used.contains(&setup) => {}
                 record => {
                     if let Some(record) = record {
                         found.granted.extend(grants(tenant, &setup, &record));
@@ -199,7 +202,13 @@ impl Store {
         Ok(())
     }
 
-    async fn look_at_sessions(&self, tenant: &str, found: &mut Found) -> Result<(), StoreError> {
+    /// Set-ups that open sessions of a tenant use.
+    async fn look_at_sessions(
+        &self,
+        tenant: &str,
+        found: &mut Found,
+    ) -> Result<BTreeSet<String>, StoreError> {
+        let mut used = BTreeSet::new();
         let below = format!("session/{tenant}");
         let sessions = rows(self.backend.list(&below).await?);
         // Listed after the sessions: what is closed meanwhile counts as open.
@@ -209,14 +218,14 @@ impl Store {
             if !marked && !self.backend.exists(&format!("closed/{tenant}/{id}")).await? {
                 let Some(last) = generations.last() else { continue };
                 if let Some(record) = self.record::<SessionRecord>(&last.name).await? {
-                    found.needed.insert(record.setup);
+                    used.insert(record.setup);
                 }
                 generations.truncate(generations.len().saturating_sub(KEPT as usize));
             }
             // A mark that it is closed is removed last.
             found.garbage.extend(generations);
         }
-        Ok(())
+        Ok(used)
     }
 
     async fn look_at_content(&self, grace: Duration, found: &mut Found) -> Result<(), StoreError> {

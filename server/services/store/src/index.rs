@@ -219,11 +219,17 @@ impl Store {
     /// # Errors
     /// If the store does not answer.
     pub async fn usage(&self, tenant: &str) -> Result<Usage, StoreError> {
-        let (setups, deleted, sessions) = tokio::try_join!(
+        self.usage_besides(tenant, "").await
+    }
+
+    /// What a tenant holds, where one set-up does not count as deleted, since it is uploaded again.
+    async fn usage_besides(&self, tenant: &str, id: &str) -> Result<Usage, StoreError> {
+        let (setups, mut deleted, sessions) = tokio::try_join!(
             self.entries(tenant, Kind::Setup),
             self.entries(tenant, Kind::Deleted),
             self.entries(tenant, Kind::Session)
         )?;
+        deleted.remove(id);
         let (setups, deleted, sessions) = (Held::of(&setups), Held::of(&deleted), Held::of(&sessions));
         Ok(Usage { setups, deleted, sessions })
     }
@@ -263,6 +269,14 @@ impl Store {
             id: id.to_owned(),
             kept: false,
         };
+        // What stays within what is free needs no sum.
+        let held = async || match (kind, bytes) {
+            (Kind::Session, 0) => {
+                let sessions = Held::of(&self.entries(tenant, kind).await?);
+                Ok(Usage { sessions, ..Usage::default() })
+            }
+            _ => self.usage_besides(tenant, id).await,
+        };
         let turn = self.turns.of(tenant);
         let _turn = turn.lock().await;
         let mut tries = 0;
@@ -272,14 +286,13 @@ impl Store {
                 return Ok(Ok(reservation()));
             }
             let (count, more) = (usize::from(known.is_none()), bytes - known.unwrap_or(0));
-            let more = Held { count, bytes: more };
-            if let Some(excess) = self.usage(tenant).await?.excess(quota, kind, more) {
+            if let Some(excess) = held().await?.excess(quota, kind, Held { count, bytes: more }) {
                 return Ok(Err(excess));
             }
             if !self.enter(tenant, kind, id, bytes).await? {
                 return Ok(Ok(reservation()));
             }
-            let Some(excess) = self.usage(tenant).await?.excess(quota, kind, Held::default()) else {
+            let Some(excess) = held().await?.excess(quota, kind, Held::default()) else {
                 return Ok(Ok(reservation()));
             };
             self.backend.delete(&entry(tenant, kind, id, bytes)).await?;

@@ -46,6 +46,7 @@ class Client(Caller):
         components: Iterable[str] | None = None,
         solver: Solver | None = None,
         tolerance: float | None = None,
+        merge_tolerance: float | None = None,
         timeout: float | None = None,
     ) -> Configuration:
         """Checks a mesh and finds everything that does not depend on the positions of its vertices.
@@ -61,12 +62,23 @@ class Client(Caller):
         `components`: cell groups whose forces are returned; all if `None`.
         `solver`: chosen by the number of unknowns if `None`.
         `tolerance`: residual relative to the right-hand side; 1e-12 if `None`.
+        `merge_tolerance`: metres within which vertices become one, at their mean; none if `None`. All arrays, and
+        derivatives, keep the vertices given.
 
         Raises :class:`moldline.InvalidArgument` naming the wrong cell or edge, :class:`moldline.ResourceExhausted` if an
         analysis would need more memory than the server allows.
         """
         request = operations.configuration_request(
-            vertices, cells, cell_groups, vertex_groups, symmetry, trailing_edges, components, solver, tolerance
+            vertices,
+            cells,
+            cell_groups,
+            vertex_groups,
+            symmetry,
+            trailing_edges,
+            components,
+            solver,
+            tolerance,
+            merge_tolerance,
         )
         return Configuration(self, self._run(operations.create(request), timeout), request)
 
