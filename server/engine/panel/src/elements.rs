@@ -28,6 +28,14 @@ impl Element {
         }
     }
 
+    /// Its corners as those of the panel; none for a quadrilateral's middle.
+    pub fn places(&self) -> [Option<usize>; 3] {
+        match usize::from(self.side) {
+            4 => [Some(0), Some(1), Some(2)],
+            side => [Some(side), Some((side + 1) % 4), None],
+        }
+    }
+
     /// Values at the element's corners, from those at the panel's.
     pub fn at_corners(&self, values: &[f64; 4]) -> [f64; 3] {
         self.weights().map(|w| (0..4).map(|i| w[i] * values[i]).sum())

@@ -80,6 +80,7 @@ mod panel_setup;
 mod panels;
 mod pressure;
 mod progress;
+mod recovery;
 mod solution;
 mod stage;
 mod state;

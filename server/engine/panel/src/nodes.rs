@@ -9,6 +9,8 @@
 
 use std::collections::BTreeMap;
 
+use moldline_mesh::Vector3;
+
 use crate::{
     PanelError,
     panels::Panels,
@@ -167,6 +169,44 @@ impl Nodes {
                 self.value[node as usize] = combine(&[(1.0, &vec![(row, 1.0)]), (1.0, &jump)]);
             }
         }
+    }
+}
+
+/// Cosine of the angle between normals from which on an edge is a crease: across it velocities are not averaged.
+const CREASE: f64 = 0.77;
+
+/// Corners of panels that share a smooth surface: those around a point in sectors between cuts and creases, at the set-up's positions.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Smooth {
+    pub of_corner: Vec<[u32; 4]>,
+    pub count: usize,
+}
+
+impl Smooth {
+    pub fn new(panels: &Panels, wakes: &Wakes, points: &[Vector3]) -> Self {
+        let mut cut = Cut::new(panels, wakes);
+        let normal = |panel: u32| {
+            let [a, b, c, d] = panels.corners[panel as usize].map(|p| points[p as usize]);
+            (c - a).cross(&(d - b)).normalize()
+        };
+        for (edge, e) in panels.edges.iter().enumerate() {
+            cut.edges[edge] |= e.right.is_some_and(|right| normal(e.left).dot(&normal(right)) < CREASE);
+        }
+        cut.on_path.fill(true);
+        let mut smooth = Self { of_corner: vec![[0; 4]; panels.len()], count: 0 };
+        for (point, corners) in corners_at(panels).iter().enumerate() {
+            let sectors = cut.sectors(panels, point as u32, corners);
+            for (&(panel, corner), sector) in corners.iter().zip(&sectors.of_corner) {
+                smooth.of_corner[panel as usize][corner as usize] = smooth.count as u32 + sector;
+            }
+            smooth.count += sectors.count as usize;
+        }
+        smooth
+    }
+
+    /// The corners of a panel.
+    pub fn corners(&self, panels: &Panels, panel: usize) -> &[u32] {
+        &self.of_corner[panel][..if panels.is_triangle(panel) { 3 } else { 4 }]
     }
 }
 

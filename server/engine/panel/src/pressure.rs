@@ -1,15 +1,15 @@
 //! Pressure coefficients and forces as forms in the onset flow.
 //!
-//! The flow inside is at rest, so that the velocity outside is the surface gradient of the potential: constant on every element, `u_k` for the onset
-//! flow `o_k` of unit velocity along axis k, in stretched coordinates. Bernoulli's equation there, transformed back by Goethert's rule:
+//! The flow inside is at rest, so that the velocity outside is the surface gradient of the potential: `u_k` for the onset flow `o_k` of unit velocity
+//! along axis k, in stretched coordinates ([`crate::recovery`]). Bernoulli's equation there, transformed back by Goethert's rule:
 //!
 //! ```text
-//! Cp = sum_kl w_k w_l C_kl,   C_kl = o_k . o_l - mean of u_k . u_l over the panel
+//! Cp = sum_kl w_k w_l C_kl,   C_kl = o_k . o_l - u_k . u_l
 //! ```
 //!
 //! At Mach zero it is Bernoulli's equation; else it is `-2 u - (B^2 u^2 + v^2 + w^2)` of the perturbations in the wind's axes.
 //!
-//! With the circulation `c = area n x u` of an element, `u_k . u_l = c_k . c_l / area^2`.
+//! With the circulation `c = area n x u` of an element, its `area u = c x n`.
 
 use moldline_mesh::Vector3;
 
@@ -18,6 +18,7 @@ use crate::{
     elements::{circulation, circulation_by_corners, circulation_by_values},
     influence::Layout,
     panels::Panels,
+    recovery::Recovery,
     surface::{Surface, SurfaceChange, area, area_by_corners},
 };
 
@@ -29,9 +30,10 @@ fn real_area(beta: f64, area: &Vector3) -> Vector3 {
 /// Forms of pressure on one panel.
 pub(crate) type Form<const B: usize> = [[f64; B]; B];
 
-/// Pressure forms of all panels.
+/// Velocities and pressure forms of all panels.
 #[derive(Clone, Debug)]
 pub(crate) struct Pressure<const B: usize> {
+    velocities: [Vec<Vector3>; B],
     pub forms: Vec<Form<B>>,
 }
 
@@ -48,125 +50,145 @@ impl<const B: usize> Potentials<'_, B> {
         std::array::from_fn(|k| self.surface.onset(self.panels.axes()[k]))
     }
 
-    /// Circulations and values at the corners of an element.
-    fn element(&self, element: usize) -> [(Vector3, [f64; 3]); B] {
-        std::array::from_fn(|k| {
-            let values = self.layout.element_values(element, self.nodes[k]);
-            (circulation(&self.surface.corners[element], &values), values)
-        })
+    /// Mean gradients of the potential on all panels: `sum over elements of c x n`, over the area.
+    fn gradients(&self, nodes: &[f64]) -> Vec<Vector3> {
+        let of_panel = |panel: usize| {
+            let of_element = |e: usize| {
+                let corners = &self.surface.corners[e];
+                circulation(corners, &self.layout.element_values(e, nodes)).cross(&area(corners).normalize())
+            };
+            self.layout.elements.of(panel).map(of_element).sum::<Vector3>() / self.surface.sizes[panel]
+        };
+        (0..self.panels.len()).map(of_panel).collect()
     }
 
-    /// The forms: `sum over elements of c_k.c_l / area`, over the panel's area.
+    fn recovery(&self) -> Recovery<'_> {
+        Recovery::new(self.panels, &self.layout.smooth, &self.surface.sizes)
+    }
+
+    /// Velocities and forms.
     pub fn eval(&self) -> Pressure<B> {
         let onsets = self.onsets();
+        let recovery = self.recovery();
+        let velocities: [Vec<Vector3>; B] =
+            std::array::from_fn(|k| recovery.eval(&self.gradients(self.nodes[k])));
         let form = |panel: usize| {
-            let mut form: Form<B> = std::array::from_fn(|k| std::array::from_fn(|l| onsets[k].dot(&onsets[l])));
-            for element in self.layout.elements.of(panel) {
-                let by = 1.0 / (area(&self.surface.corners[element]).norm() * self.surface.sizes[panel]);
-                let c = self.element(element);
-                for k in 0..B {
-                    for l in 0..B {
-                        form[k][l] -= by * c[k].0.dot(&c[l].0);
-                    }
-                }
-            }
-            form
+            std::array::from_fn(|k| {
+                std::array::from_fn(|l| {
+                    onsets[k].dot(&onsets[l]) - velocities[k][panel].dot(&velocities[l][panel])
+                })
+            })
         };
-        Pressure { forms: (0..self.panels.len()).map(form).collect() }
+        let forms = (0..self.panels.len()).map(form).collect();
+        Pressure { velocities, forms }
     }
 
     /// The changes of the forms with those of surface and nodes.
-    pub fn jvp(&self, change: &SurfaceChange, d_nodes: &[Vec<f64>; B]) -> Vec<Form<B>> {
+    pub fn jvp(&self, pressure: &Pressure<B>, change: &SurfaceChange, d_nodes: &[Vec<f64>; B]) -> Vec<Form<B>> {
+        let (surface, layout) = (self.surface, self.layout);
         let onsets = self.onsets();
         let d_onsets: [Vector3; B] =
-            std::array::from_fn(|k| self.surface.onset_by_beta(self.panels.axes()[k]) * change.beta);
-        let form = |panel: usize| {
-            let mut form: Form<B> = std::array::from_fn(|k| {
-                std::array::from_fn(|l| onsets[k].dot(&d_onsets[l]) + d_onsets[k].dot(&onsets[l]))
-            });
-            let size = self.surface.sizes[panel];
-            let mut parts = [[0.0; B]; B];
-            let mut d_size = 0.0;
-            for element in self.layout.elements.of(panel) {
-                let corners = &self.surface.corners[element];
-                let d_corners = change.corners(self.panels, &self.layout.elements, element);
+            std::array::from_fn(|k| surface.onset_by_beta(self.panels.axes()[k]) * change.beta);
+        let recovery = self.recovery();
+        let mut d_sizes = vec![0.0; self.panels.len()];
+        let mut sums: [Vec<Vector3>; B] = std::array::from_fn(|_| vec![Vector3::zeros(); self.panels.len()]);
+        for panel in 0..self.panels.len() {
+            for e in layout.elements.of(panel) {
+                let corners = &surface.corners[e];
+                let d_corners = change.corners(self.panels, &layout.elements, e);
                 let vector = area(corners);
-                let one = vector.norm();
-                let by_corners = area_by_corners(&(vector / one), corners);
-                let d_one: f64 = (0..3).map(|k| by_corners[k].dot(&d_corners[k])).sum();
-                d_size += d_one;
-                let c = self.element(element);
-                let dc: [Vector3; B] = std::array::from_fn(|k| {
-                    circulation(&d_corners, &c[k].1)
-                        + circulation(corners, &self.layout.element_values(element, &d_nodes[k]))
-                });
+                let (n, d_area) = (vector.normalize(), area_jvp(corners, &d_corners));
+                let dn = (d_area - n * n.dot(&d_area)) / vector.norm();
+                d_sizes[panel] += n.dot(&d_area);
                 for k in 0..B {
-                    for l in 0..B {
-                        let product = c[k].0.dot(&c[l].0) / one;
-                        parts[k][l] += product;
-                        form[k][l] -= ((c[k].0.dot(&dc[l]) + dc[k].dot(&c[l].0)) / one - product * d_one / one) / size;
-                    }
+                    let values = layout.element_values(e, self.nodes[k]);
+                    let dc = circulation(&d_corners, &values)
+                        + circulation(corners, &layout.element_values(e, &d_nodes[k]));
+                    sums[k][panel] += dc.cross(&n) + circulation(corners, &values).cross(&dn);
                 }
             }
-            for k in 0..B {
-                for l in 0..B {
-                    form[k][l] += parts[k][l] * d_size / (size * size);
-                }
-            }
-            form
+        }
+        let d_velocities: [Vec<Vector3>; B] = std::array::from_fn(|k| {
+            let gradients = self.gradients(self.nodes[k]);
+            let d_gradients: Vec<Vector3> = (0..self.panels.len())
+                .map(|p| (sums[k][p] - d_sizes[p] * gradients[p]) / surface.sizes[p])
+                .collect();
+            recovery.jvp(&gradients, &d_gradients, &d_sizes)
+        });
+        let form = |panel: usize| {
+            std::array::from_fn(|k| {
+                std::array::from_fn(|l| {
+                    onsets[k].dot(&d_onsets[l]) + d_onsets[k].dot(&onsets[l])
+                        - pressure.velocities[k][panel].dot(&d_velocities[l][panel])
+                        - d_velocities[k][panel].dot(&pressure.velocities[l][panel])
+                })
+            })
         };
         (0..self.panels.len()).map(form).collect()
     }
 
     /// The transpose of [`jvp`](Self::jvp): adds to the seeds of surface and nodes.
-    pub fn vjp(&self, seeds: &[Form<B>], change: &mut SurfaceChange, node_seeds: &mut [Vec<f64>; B]) {
+    pub fn vjp(
+        &self,
+        pressure: &Pressure<B>,
+        seeds: &[Form<B>],
+        change: &mut SurfaceChange,
+        node_seeds: &mut [Vec<f64>; B],
+    ) {
+        let (surface, layout) = (self.surface, self.layout);
         let onsets = self.onsets();
-        for (panel, seed) in seeds.iter().enumerate() {
-            let size = self.surface.sizes[panel];
-            for k in 0..B {
-                let of: Vector3 = (0..B).map(|l| (seed[k][l] + seed[l][k]) * onsets[l]).sum();
-                change.beta += self.surface.onset_by_beta(self.panels.axes()[k]).dot(&of);
+        let recovery = self.recovery();
+        let mut of_sizes = vec![0.0; self.panels.len()];
+        let mut of_sums: [Vec<Vector3>; B] = std::array::from_fn(|_| Vec::new());
+        for k in 0..B {
+            let both = |panel: usize, l: usize| seeds[panel][k][l] + seeds[panel][l][k];
+            let velocity = |panel: usize| -(0..B).map(|l| both(panel, l) * pressure.velocities[l][panel]).sum::<Vector3>();
+            let of_velocities: Vec<Vector3> = (0..self.panels.len()).map(velocity).collect();
+            let onset: Vector3 =
+                (0..self.panels.len()).map(|p| (0..B).map(|l| both(p, l) * onsets[l]).sum::<Vector3>()).sum();
+            change.beta += surface.onset_by_beta(self.panels.axes()[k]).dot(&onset);
+            let gradients = self.gradients(self.nodes[k]);
+            of_sums[k] = recovery.vjp(&gradients, &of_velocities, &mut of_sizes);
+            for (panel, of) in of_sums[k].iter_mut().enumerate() {
+                *of /= surface.sizes[panel];
+                of_sizes[panel] -= of.dot(&gradients[panel]);
             }
-            let mut of_size = 0.0;
-            for element in self.layout.elements.of(panel) {
-                let one = area(&self.surface.corners[element]).norm();
-                let c = self.element(element);
-                for k in 0..B {
-                    for l in 0..B {
-                        of_size += seed[k][l] * c[k].0.dot(&c[l].0) / (one * size * size);
-                    }
-                }
-            }
-            for element in self.layout.elements.of(panel) {
-                let corners = &self.surface.corners[element];
+        }
+        for panel in 0..self.panels.len() {
+            for e in layout.elements.of(panel) {
+                let corners = &surface.corners[e];
                 let vector = area(corners);
-                let one = vector.norm();
-                let c = self.element(element);
-                let record = &self.layout.elements.list[element];
-                let nodes = self.layout.nodes.of_corner[record.panel as usize];
-                let mut of_one = of_size;
+                let n = vector.normalize();
+                let record = &layout.elements.list[e];
+                let nodes = layout.nodes.of_corner[panel];
                 let mut corner_seeds = [Vector3::zeros(); 3];
+                let mut of_normal = Vector3::zeros();
                 for k in 0..B {
-                    let mut of_c = Vector3::zeros();
-                    for l in 0..B {
-                        of_c -= (seed[k][l] + seed[l][k]) / (one * size) * c[l].0;
-                        of_one += seed[k][l] * c[k].0.dot(&c[l].0) / (one * one * size);
-                    }
-                    let by_corners = circulation_by_corners(&of_c, &c[k].1);
+                    let values = layout.element_values(e, self.nodes[k]);
+                    let seed = &of_sums[k][panel];
+                    // seed . (c x n) = c . (n x seed) = n . (seed x c)
+                    let of_c = n.cross(seed);
+                    of_normal += seed.cross(&circulation(corners, &values));
+                    let by_corners = circulation_by_corners(&of_c, &values);
                     (0..3).for_each(|i| corner_seeds[i] += by_corners[i]);
-                    let by_values = circulation_by_values(&of_c, corners);
-                    for (weights, by) in record.weights().iter().zip(by_values) {
+                    for (weights, by) in record.weights().iter().zip(circulation_by_values(&of_c, corners)) {
                         for (node, weight) in nodes.iter().zip(weights) {
                             node_seeds[k][*node as usize] += weight * by;
                         }
                     }
                 }
-                let by_area = area_by_corners(&(of_one / one * vector), corners);
+                let of_area = (of_normal - n * n.dot(&of_normal)) / vector.norm() + of_sizes[panel] * n;
+                let by_area = area_by_corners(&of_area, corners);
                 (0..3).for_each(|i| corner_seeds[i] += by_area[i]);
-                change.add_corners(self.panels, &self.layout.elements, element, &corner_seeds);
+                change.add_corners(self.panels, &layout.elements, e, &corner_seeds);
             }
         }
     }
+}
+
+/// The change of a triangle's area vector.
+fn area_jvp(corners: &[Vector3; 3], d: &[Vector3; 3]) -> Vector3 {
+    0.5 * ((d[1] - d[0]).cross(&(corners[2] - corners[0])) + (corners[1] - corners[0]).cross(&(d[2] - d[0])))
 }
 
 impl<const B: usize> Pressure<B> {

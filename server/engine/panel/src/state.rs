@@ -113,7 +113,7 @@ impl<const B: usize> State<B> {
         let (panels, surface) = (&setup.panels, &self.surface);
         let d_circulations: [Vec<f64>; B] = std::array::from_fn(|k| circulations(setup, &d_mu[k]));
         let d_nodes: [Vec<f64>; B] = std::array::from_fn(|k| setup.layout.node_values(&d_mu[k]));
-        let forms = self.potentials(setup).jvp(change, &d_nodes);
+        let forms = self.potentials(setup).jvp(&self.pressure, change, &d_nodes);
         let mut totals = Totals::zeros();
         self.pressure.totals_jvp(panels, surface, &forms, change, &mut totals);
         totals.lift = std::array::from_fn(|k| {
@@ -154,7 +154,7 @@ impl<const B: usize> State<B> {
         let mut change = SurfaceChange::zeros(surface);
         let mut of_nodes: [Vec<f64>; B] = std::array::from_fn(|_| vec![0.0; nodes.row.len()]);
         self.pressure.totals_vjp(panels, surface, &totals, &mut forms, &mut change);
-        self.potentials(setup).vjp(&forms, &mut change, &mut of_nodes);
+        self.potentials(setup).vjp(&self.pressure, &forms, &mut change, &mut of_nodes);
         let points = &mut change.points;
         trace.drag_vjp(&surface.points, &self.circulations, &totals.drag, points, &mut circulations);
         let mut of_mu: [Vec<f64>; B] = std::array::from_fn(|_| vec![0.0; nodes.rows()]);

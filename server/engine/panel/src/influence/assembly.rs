@@ -12,7 +12,7 @@ use super::{
 use crate::{
     Monitor, PanelError, Stage,
     clusters::{PATCH, Patch},
-    elements::{Weights, circulation},
+    elements::circulation,
     linear_system::Matrix,
     progress::Progress,
     surface::area,
@@ -21,31 +21,50 @@ use crate::{
 /// Groups of targets that are assembled before they are added to the matrix.
 const GROUPS: usize = 16;
 
-/// What of a patch's panels the loop over pairs reads, in lanes.
+/// What of a patch's elements the loop over pairs reads, one list for each number.
 struct Lanes {
-    centroid: [[f64; PATCH]; 3],
-    moments: [[f64; PATCH]; 6],
-    reach: [f64; PATCH],
-    /// Charges of the corners.
-    charges: Vec<[[f64; 3]; 4]>,
+    elements: Vec<usize>,
+    centroid: [Vec<f64>; 3],
+    moments: [Vec<f64>; 6],
+    reach: Vec<f64>,
+    /// Circulations for unit values at the corners of the elements.
+    charges: Vec<[[f64; 3]; 3]>,
+    /// Columns of the corners: nodes of the patch, and behind them the middles of its quadrilaterals.
+    columns: Vec<[usize; 3]>,
+    /// Nodes around the middles, as columns.
+    middles: Vec<[u32; 4]>,
 }
 
 impl Lanes {
     fn new(influence: &Influence<'_>, patch: &Patch) -> Self {
-        let mut lanes = Self {
-            centroid: [[f64::MAX.sqrt() * 1e-3; PATCH]; 3],
-            moments: [[0.0; PATCH]; 6],
-            reach: [0.0; PATCH],
-            charges: Vec::with_capacity(patch.panels.len()),
-        };
-        for (l, &panel) in patch.panels.iter().enumerate() {
-            let source = &influence.sources[panel as usize];
-            (0..3).for_each(|k| lanes.centroid[k][l] = source.centroid[k]);
-            (0..6).for_each(|k| lanes.moments[k][l] = source.moments[k]);
-            lanes.reach[l] = influence.layout.reach[panel as usize];
-            lanes.charges.push(source.charges.map(Into::into));
+        let list = &influence.layout.elements;
+        let elements: Vec<usize> = patch.panels.iter().flat_map(|p| list.of(*p as usize)).collect();
+        let source = |e: &usize| &influence.sources[*e];
+        let mut middles = Vec::new();
+        let mut columns = Vec::with_capacity(elements.len());
+        for (panel, places) in patch.panels.iter().zip(&patch.places) {
+            let quadrilateral = !influence.panels.is_triangle(*panel as usize);
+            let middle = patch.nodes.len() + middles.len();
+            if quadrilateral {
+                middles.push(*places);
+            }
+            for element in list.of(*panel as usize) {
+                columns.push(list.list[element].places().map(|k| k.map_or(middle, |k| places[k] as usize)));
+            }
         }
-        lanes
+        let charges = |e: &usize| {
+            let corners = &influence.surface.corners[*e];
+            [0, 1, 2].map(|k| circulation(corners, &std::array::from_fn(|j| if j == k { 1.0 } else { 0.0 })).into())
+        };
+        Self {
+            centroid: [0, 1, 2].map(|k| elements.iter().map(|e| source(e).centroid[k]).collect()),
+            moments: [0, 1, 2, 3, 4, 5].map(|k| elements.iter().map(|e| source(e).moments[k]).collect()),
+            reach: elements.iter().map(|e| influence.layout.reach[*e]).collect(),
+            charges: elements.iter().map(charges).collect(),
+            elements,
+            columns,
+            middles,
+        }
     }
 }
 
@@ -138,13 +157,13 @@ impl Influence<'_> {
         let mut part = Vec::new();
         let mut sums = Vec::new();
         for (patch, lanes) in self.layout.patches.iter().zip(lanes) {
-            let columns = patch.nodes.len();
+            let columns = patch.nodes.len() + lanes.middles.len();
             part.clear();
             part.resize(rows.len() * columns, 0.0);
             for target in &targets {
                 sums.clear();
                 sums.resize(3 * columns, 0.0);
-                self.potential(target, patch, lanes, &mut sums);
+                self.potential(target, lanes, columns, &mut sums);
                 for (row, charge) in &target.rows {
                     let first = place(*row) * columns;
                     let out = &mut part[first..first + columns];
@@ -160,8 +179,12 @@ impl Influence<'_> {
                     );
                 }
             }
-            for (values, out) in part.chunks(columns).zip(block.chunks_mut(n)) {
-                for (value, node) in values.iter().zip(&patch.nodes) {
+            for (values, out) in part.chunks_mut(columns).zip(block.chunks_mut(n)) {
+                let (of_nodes, of_middles) = values.split_at_mut(patch.nodes.len());
+                for (value, around) in of_middles.iter().zip(&lanes.middles) {
+                    around.iter().for_each(|place| of_nodes[*place as usize] += 0.25 * value);
+                }
+                for (value, node) in of_nodes.iter().zip(&patch.nodes) {
                     for (unknown, factor) in &self.layout.nodes.value[*node as usize] {
                         out[*unknown as usize] += factor * value;
                     }
@@ -183,66 +206,43 @@ impl Influence<'_> {
         (rows, block)
     }
 
-    /// Adds the mean vector potential at a target, times `4 pi`, for unit values at the nodes of a patch: x, then y, then z of all.
-    fn potential(&self, target: &Target, patch: &Patch, lanes: &Lanes, sums: &mut [f64]) {
-        let columns = patch.nodes.len();
+    /// Adds the mean vector potential at a target, times `4 pi`, for unit values at the columns of a patch: x, then y, then z of all.
+    fn potential(&self, target: &Target, lanes: &Lanes, columns: usize, sums: &mut [f64]) {
+        let count = lanes.elements.len();
+        let mut means = [0.0; 4 * PATCH];
+        let mut distances = [0.0; 4 * PATCH];
         for &y in self.views() {
             let view = View::new(target, y);
-            let mut means = [0.0; PATCH];
-            let mut distances = [0.0; PATCH];
+            let [cx, cy, cz] = lanes.centroid.each_ref().map(|c| &c[..count]);
+            let moments = lanes.moments.each_ref().map(|m| &m[..count]);
             widest(
                 #[inline(always)]
                 || {
-                    for l in 0..PATCH {
-                        let d: [f64; 3] = std::array::from_fn(|k| lanes.centroid[k][l] - view.centroid[k]);
-                        let s: Moments = std::array::from_fn(|k| lanes.moments[k][l] + view.moments[k]);
+                    let (means, distances) = (&mut means[..count], &mut distances[..count]);
+                    for l in 0..count {
+                        let d = [cx[l] - view.centroid[0], cy[l] - view.centroid[1], cz[l] - view.centroid[2]];
+                        let s: Moments = std::array::from_fn(|k| moments[k][l] + view.moments[k]);
                         means[l] = mean(d, &s);
                         distances[l] = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
                     }
                 },
             );
-            let turned = [y, 1.0, y];
-            for (l, charges) in lanes.charges.iter().enumerate() {
+            for l in 0..count {
                 let reach = lanes.reach[l] + target.reach;
-                let places = &patch.places[l];
                 if distances[l] < FAR_SQUARED * reach * reach {
-                    let panel = patch.panels[l] as usize;
                     let d = Vector3::from_fn(|k, _| lanes.centroid[k][l] - view.centroid[k]);
                     let (far, _) = share(&d, reach);
-                    if far > 0.0 { means[l] *= far } else { means[l] = 0.0 }
-                    self.near_potential(target, &view, panel, places, 1.0 - far, columns, sums);
-                }
-                for (charge, place) in charges.iter().zip(places) {
-                    for k in 0..3 {
-                        sums[k * columns + *place as usize] += turned[k] * means[l] * charge[k];
-                    }
+                    let afar = if far > 0.0 { far * means[l] } else { 0.0 };
+                    means[l] = afar + (1.0 - far) * self.near_mean(target, &view, lanes.elements[l]);
                 }
             }
-        }
-    }
-
-    /// Adds what the elements of a panel near by add.
-    fn near_potential(
-        &self,
-        target: &Target,
-        view: &View,
-        panel: usize,
-        places: &[u32; 4],
-        factor: f64,
-        columns: usize,
-        sums: &mut [f64],
-    ) {
-        for element in self.layout.elements.of(panel) {
-            let mean = factor * self.near_mean(target, view, element);
-            let weights: Weights = self.layout.elements.list[element].weights();
-            let corners = &self.surface.corners[element];
-            for k in 0..3 {
-                let unit: [f64; 3] = std::array::from_fn(|j| if j == k { 1.0 } else { 0.0 });
-                let charge = mean * view.turned(&circulation(corners, &unit));
-                for (place, weight) in places.iter().zip(weights[k]) {
-                    for axis in 0..3 {
-                        sums[axis * columns + *place as usize] += weight * charge[axis];
-                    }
+            let (x, rest) = sums.split_at_mut(columns);
+            let (of_y, z) = rest.split_at_mut(columns);
+            for ((mean, charges), places) in means.iter().zip(&lanes.charges).zip(&lanes.columns) {
+                for (charge, &place) in charges.iter().zip(places) {
+                    x[place] += y * mean * charge[0];
+                    of_y[place] += mean * charge[1];
+                    z[place] += y * mean * charge[2];
                 }
             }
         }

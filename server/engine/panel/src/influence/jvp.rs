@@ -7,16 +7,16 @@ use rayon::prelude::*;
 
 use super::{
     assembly::View,
-    far::{Moments, moments},
-    records::{Charges, Influence, Source},
-    targets::{Target, moments_change},
+    far::Moments,
+    records::{Charges, Influence, plane_figure_jvp},
+    targets::Target,
     walk::{Near, Visitor},
 };
 use crate::{
     Monitor, PanelError, Stage,
     elements::circulation,
     progress::Progress,
-    surface::{SurfaceChange, area, area_by_corners},
+    surface::{SurfaceChange, area},
 };
 
 /// A change of the surface in one direction, and of all that acts with it.
@@ -30,7 +30,6 @@ pub(crate) struct PairChange {
 /// Changes of the circulations for every onset flow.
 struct ChargeChange {
     elements: Vec<Vector3>,
-    panels: Vec<Vector3>,
     sheets: Vec<Vector3>,
 }
 
@@ -39,31 +38,8 @@ impl PairChange {
         let Influence { panels, layout, surface, sources, .. } = influence;
         let corners: Vec<[Vector3; 3]> =
             (0..layout.elements.len()).map(|e| change.corners(panels, &layout.elements, e)).collect();
-        let (centroids, of_moments) = (0..panels.len())
-            .map(|panel| {
-                let source: &Source = &sources[panel];
-                let size = surface.sizes[panel];
-                let mut centroid = Vector3::zeros();
-                let mut sum = [0.0; 6];
-                for e in layout.elements.of(panel) {
-                    let at = &surface.corners[e];
-                    let vector = area(at);
-                    let one = vector.norm();
-                    let by = area_by_corners(&(vector / one), at);
-                    let d_one: f64 = (0..3).map(|k| by[k].dot(&corners[e][k])).sum();
-                    let middle = at.iter().sum::<Vector3>() / 3.0;
-                    let d_middle = corners[e].iter().sum::<Vector3>() / 3.0;
-                    let way = middle - source.centroid;
-                    centroid += (d_one * way + one * d_middle) / size;
-                    let (inner, outer) = (moments_of(at, &middle), moments(&way, 1.0));
-                    let d_inner = moments_change(at, &middle, &corners[e]);
-                    let d_outer = moments_change_of_way(&way, &d_middle);
-                    for k in 0..6 {
-                        sum[k] += (d_one * (inner[k] + outer[k] - source.moments[k]) + one * (d_inner[k] + d_outer[k])) / size;
-                    }
-                }
-                (centroid, sum)
-            })
+        let (centroids, of_moments) = (0..layout.elements.len())
+            .map(|e| plane_figure_jvp(&surface.corners[e], &sources[e].centroid, &corners[e]))
             .unzip();
         let sheet = |sheet: &crate::wake::SheetTriangle| {
             [0, 1, 2].map(|k: usize| {
@@ -80,42 +56,18 @@ impl PairChange {
         let elements: Vec<Vector3> = (0..layout.elements.len())
             .map(|e| circulation(&self.corners[e], &layout.element_values(e, &charges.nodes)))
             .collect();
-        let panel = |p: usize| layout.elements.of(p).map(|e| elements[e]).sum();
         let sheet = |(corners, sheet): (&[Vector3; 3], &super::records::Sheet)| {
             circulation(corners, &sheet.circulations.map(|g| charges.gamma[g as usize]))
         };
         ChargeChange {
-            panels: (0..influence.panels.len()).map(panel).collect(),
             sheets: self.sheets.iter().zip(&influence.sheets).map(sheet).collect(),
             elements,
         }
     }
 }
 
-fn moments_of(corners: &[Vector3; 3], centroid: &Vector3) -> Moments {
-    let mut sum = [0.0; 6];
-    for corner in corners {
-        let part = moments(&(corner - centroid), 1.0 / 12.0);
-        sum.iter_mut().zip(part).for_each(|(s, p)| *s += p);
-    }
-    sum
-}
-
-/// The change of the moments of a way x with that of a centroid; that of the other end has no effect in the sum over a panel.
-fn moments_change_of_way(x: &Vector3, d: &Vector3) -> Moments {
-    [
-        2.0 * x.x * d.x,
-        2.0 * x.y * d.y,
-        2.0 * x.z * d.z,
-        x.x * d.y + x.y * d.x,
-        x.y * d.z + x.z * d.y,
-        x.z * d.x + x.x * d.z,
-    ]
-}
-
 /// Sums over all that acts on one target: the potential, and its changes.
 struct Sum<'a, const B: usize> {
-    influence: &'a Influence<'a>,
     charges: &'a [Charges; B],
     changes: &'a [(PairChange, [ChargeChange; B])],
     /// Changes of the target: corners, centroid and moments.
@@ -133,19 +85,19 @@ impl<const B: usize> Sum<'_, B> {
 }
 
 impl<const B: usize> Visitor for Sum<'_, B> {
-    fn far(&mut self, view: &View, panel: usize, mean: f64, by_way: &Vector3, by_moments: &Moments) {
+    fn far(&mut self, view: &View, element: usize, mean: f64, by_way: &Vector3, by_moments: &Moments) {
         let charges = self.charges;
-        self.add(view, mean, |k| charges[k].panels[panel]);
+        self.add(view, mean, |k| charges[k].elements[element]);
         for ((moved, (change, d_charges)), out) in self.moved.iter().zip(self.changes).zip(&mut self.d_potential) {
             let (_, centroid, of_moments) = moved;
             let s = of_moments;
             let seen = [s[0], s[1], s[2], view.y * s[3], view.y * s[4], s[5]];
-            let mut d_mean = by_way.dot(&(change.centroids[panel] - view.place(centroid)));
+            let mut d_mean = by_way.dot(&(change.centroids[element] - view.place(centroid)));
             for k in 0..6 {
-                d_mean += by_moments[k] * (change.moments[panel][k] + seen[k]);
+                d_mean += by_moments[k] * (change.moments[element][k] + seen[k]);
             }
             for k in 0..B {
-                let d = d_mean * charges[k].panels[panel] + mean * d_charges[k].panels[panel];
+                let d = d_mean * charges[k].elements[element] + mean * d_charges[k].elements[element];
                 out[k] += view.turned(&d);
             }
         }
@@ -154,10 +106,9 @@ impl<const B: usize> Visitor for Sum<'_, B> {
     fn near(&mut self, view: &View, element: usize, near: &Near, by_way: &Vector3) {
         let charges = self.charges;
         self.add(view, near.mean, |k| charges[k].elements[element]);
-        let panel = self.influence.layout.elements.list[element].panel as usize;
         for ((moved, (change, d_charges)), out) in self.moved.iter().zip(self.changes).zip(&mut self.d_potential) {
             let (corners, centroid, _) = moved;
-            let mut d_mean = by_way.dot(&(change.centroids[panel] - view.place(centroid)));
+            let mut d_mean = by_way.dot(&(change.centroids[element] - view.place(centroid)));
             for k in 0..3 {
                 d_mean += near.by_target[k].dot(&corners[k]) + near.by_source[k].dot(&change.corners[element][k]);
             }
@@ -242,7 +193,6 @@ impl Influence<'_> {
             (*corners, centroid, moments)
         };
         let mut sum = Sum {
-            influence: self,
             charges,
             changes: moved,
             moved: corners.iter().map(of_target).collect(),

@@ -1,4 +1,4 @@
-//! What acts: panels from afar, elements from near by, and the triangles of the wakes.
+//! What acts: elements, from afar and from near by, and the triangles of the wakes.
 
 use moldline_mesh::Vector3;
 
@@ -9,9 +9,9 @@ use super::{
 use crate::{
     clusters::Patch,
     elements::{Elements, circulation},
-    nodes::Nodes,
+    nodes::{Nodes, Smooth},
     panels::Panels,
-    surface::{Surface, SurfaceChange, area, area_by_corners},
+    surface::Surface,
     wake::{Sheets, Wakes},
 };
 
@@ -19,6 +19,7 @@ use crate::{
 #[derive(Clone, Debug)]
 pub(crate) struct Layout {
     pub nodes: Nodes,
+    pub smooth: Smooth,
     pub sheets: Sheets,
     pub elements: Elements,
     pub patches: Vec<Patch>,
@@ -26,10 +27,8 @@ pub(crate) struct Layout {
     pub lines: Vec<Line>,
     /// Connected piece of every unknown.
     pub pieces: Vec<u32>,
-    /// Largest distance of a corner from the centroid, at the set-up's positions: of the panels ...
+    /// Largest distance of a corner of each element from its centroid, at the set-up's positions.
     pub reach: Vec<f64>,
-    /// ... and of the elements.
-    pub element_reach: Vec<f64>,
 }
 
 /// An edge that is cut, as the upper panel runs through it.
@@ -50,7 +49,6 @@ impl Layout {
             let centre = corners.iter().sum::<Vector3>() / corners.len() as f64;
             corners.iter().map(|c| (c - centre).norm()).fold(0.0, f64::max)
         };
-        let of_panel = |panel: usize| reach(&at(panel)[..if panels.is_triangle(panel) { 3 } else { 4 }]);
         let of_element = |element: usize| {
             let element = &elements.list[element];
             let at = at(element.panel as usize);
@@ -62,12 +60,12 @@ impl Layout {
         );
         let centres: Vec<Vector3> = (0..panels.len()).map(|p| at(p).iter().sum::<Vector3>() / 4.0).collect();
         Self {
+            smooth: Smooth::new(panels, wakes, points),
             sheets: Sheets::new(wakes, &nodes, (high - low).norm()),
             patches: Patch::cut(&centres, &nodes.of_corner),
             lines: lines(panels, wakes, &nodes),
             pieces: nodes.row_point.iter().map(|p| panels.piece[*p as usize]).collect(),
-            reach: (0..panels.len()).map(of_panel).collect(),
-            element_reach: (0..elements.len()).map(of_element).collect(),
+            reach: (0..elements.len()).map(of_element).collect(),
             elements,
             nodes,
         }
@@ -134,13 +132,11 @@ pub(crate) struct Influence<'a> {
     pub(super) sheets: Vec<Sheet>,
 }
 
-/// A panel as it acts from afar.
+/// An element as it acts from afar.
 #[derive(Clone, Debug)]
 pub(super) struct Source {
     pub centroid: Vector3,
     pub moments: Moments,
-    /// Charges of its corners: what [`circulation`] of its elements sums up to.
-    pub charges: [Vector3; 4],
 }
 
 /// A triangle of a wake.
@@ -155,7 +151,11 @@ pub(super) struct Sheet {
 impl<'a> Influence<'a> {
     pub fn new(panels: &'a Panels, layout: &'a Layout, surface: &'a Surface) -> Self {
         let triangles: Vec<Triangle> = surface.corners.iter().map(|c| Triangle::new(*c)).collect();
-        let sources = (0..panels.len()).map(|panel| Source::new(panels, layout, surface, panel)).collect();
+        let source = |corners: &[Vector3; 3]| {
+            let (centroid, moments) = plane_figure(corners);
+            Source { centroid, moments }
+        };
+        let sources = surface.corners.iter().map(source).collect();
         let sheets = layout
             .sheets
             .triangles
@@ -180,16 +180,14 @@ impl<'a> Influence<'a> {
         if self.panels.symmetric { &[1.0, -1.0] } else { &[1.0] }
     }
 
-    /// Circulations of elements, panels and wakes for values of the unknowns.
+    /// Circulations of elements and wakes for values of the unknowns.
     pub fn charges(&self, unknowns: &[f64]) -> Charges {
         let nodes = self.layout.node_values(unknowns);
         let elements: Vec<Vector3> = (0..self.layout.elements.len())
             .map(|e| circulation(&self.surface.corners[e], &self.layout.element_values(e, &nodes)))
             .collect();
-        let panel = |p: usize| self.layout.elements.of(p).map(|e| elements[e]).sum();
         let gamma = self.layout.circulations(unknowns);
         Charges {
-            panels: (0..self.panels.len()).map(panel).collect(),
             sheets: self
                 .sheets
                 .iter()
@@ -209,7 +207,6 @@ pub(crate) struct Charges {
     pub nodes: Vec<f64>,
     pub gamma: Vec<f64>,
     pub elements: Vec<Vector3>,
-    pub panels: Vec<Vector3>,
     pub sheets: Vec<Vector3>,
 }
 
@@ -222,78 +219,40 @@ impl Layout {
     }
 }
 
-impl Source {
-    fn new(panels: &Panels, layout: &Layout, surface: &Surface, panel: usize) -> Self {
-        let at = panels.corners[panel].map(|v| surface.points[v as usize]);
-        let count = if panels.is_triangle(panel) { 3 } else { 4 };
-        let mut charges = [Vector3::zeros(); 4];
-        for i in 0..count {
-            charges[i] = 0.5 * (at[(i + 1) % count] - at[(i + count - 1) % count]);
-        }
-        let parts: Vec<(f64, Vector3, Moments)> =
-            layout.elements.of(panel).map(|e| plane_figure(&surface.corners[e])).collect();
-        let size: f64 = parts.iter().map(|(area, ..)| area).sum();
-        let centroid = parts.iter().map(|(area, centroid, _)| *area / size * centroid).sum();
-        let mut sum = [0.0; 6];
-        for (area, of_part, inner) in &parts {
-            let outer = moments(&(of_part - centroid), 1.0);
-            for k in 0..6 {
-                sum[k] += area / size * (inner[k] + outer[k]);
-            }
-        }
-        Self { centroid, moments: sum, charges }
-    }
-
-    /// Adds to the seeds of points those of the panel's centroid, moments, and of its charge: the gradient is `by_charge` for the values of
-    /// its corners.
-    pub fn add_seeds(
-        &self,
-        influence: &Influence<'_>,
-        panel: usize,
-        (by_centroid, by_moments): (&Vector3, &Moments),
-        by_charge: impl Iterator<Item = (Vector3, [f64; 4])>,
-        change: &mut SurfaceChange,
-    ) {
-        let Influence { panels, layout, surface, .. } = influence;
-        let size = surface.sizes[panel];
-        for element in layout.elements.of(panel) {
-            let corners = &surface.corners[element];
-            let (area_size, centroid, inner) = plane_figure(corners);
-            let share = area_size / size;
-            let way = centroid - self.centroid;
-            let outer = moments(&way, 1.0);
-            let of_centroid = share * (by_centroid + moments_gradient(by_moments, &way));
-            let mut of_area = by_centroid.dot(&way) / size;
-            for k in 0..6 {
-                of_area += by_moments[k] * (inner[k] + outer[k] - self.moments[k]) / size;
-            }
-            let normal = area(corners) / area_size;
-            let by_area = area_by_corners(&(of_area * normal), corners);
-            let of_inner = by_moments.map(|m| share * m);
-            let seeds: [Vector3; 3] = std::array::from_fn(|k| {
-                by_area[k] + of_centroid / 3.0 + moments_gradient(&of_inner, &(corners[k] - centroid)) / 12.0
-            });
-            change.add_corners(panels, &layout.elements, element, &seeds);
-        }
-        let count = if panels.is_triangle(panel) { 3 } else { 4 };
-        let points = &panels.corners[panel];
-        for (by, values) in by_charge {
-            for i in 0..count {
-                let seed = 0.5 * values[i] * by;
-                change.points[points[(i + 1) % count] as usize] += seed;
-                change.points[points[(i + count - 1) % count] as usize] -= seed;
-            }
-        }
-    }
-}
-
-/// Area, centroid and second moments about it of a triangle.
-pub(super) fn plane_figure(corners: &[Vector3; 3]) -> (f64, Vector3, Moments) {
+/// Centroid of a triangle, and second moments about it.
+pub(super) fn plane_figure(corners: &[Vector3; 3]) -> (Vector3, Moments) {
     let centroid = corners.iter().sum::<Vector3>() / 3.0;
     let mut sum = [0.0; 6];
     for corner in corners {
         let part = moments(&(corner - centroid), 1.0 / 12.0);
         sum.iter_mut().zip(part).for_each(|(s, p)| *s += p);
     }
-    (area(corners).norm(), centroid, sum)
+    (centroid, sum)
+}
+
+/// The change of [`plane_figure`] with the corners.
+pub(super) fn plane_figure_jvp(corners: &[Vector3; 3], centroid: &Vector3, change: &[Vector3; 3]) -> (Vector3, Moments) {
+    let mut sum = [0.0; 6];
+    for (corner, d) in corners.iter().zip(change) {
+        let x = corner - centroid;
+        let part = [
+            2.0 * x.x * d.x,
+            2.0 * x.y * d.y,
+            2.0 * x.z * d.z,
+            x.x * d.y + x.y * d.x,
+            x.y * d.z + x.z * d.y,
+            x.z * d.x + x.x * d.z,
+        ];
+        (0..6).for_each(|k| sum[k] += part[k] / 12.0);
+    }
+    (change.iter().sum::<Vector3>() / 3.0, sum)
+}
+
+/// The transpose: seeds of the corners from those of centroid and moments.
+pub(super) fn plane_figure_vjp(
+    corners: &[Vector3; 3],
+    centroid: &Vector3,
+    (by_centroid, by_moments): (&Vector3, &Moments),
+) -> [Vector3; 3] {
+    std::array::from_fn(|k| by_centroid / 3.0 + moments_gradient(by_moments, &(corners[k] - centroid)) / 12.0)
 }

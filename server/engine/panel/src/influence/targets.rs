@@ -4,8 +4,8 @@ use moldline_foundation::quadrature::GAUSS_4;
 use moldline_mesh::Vector3;
 
 use super::{
-    far::{Moments, moments_gradient},
-    records::{Influence, Line, plane_figure},
+    far::Moments,
+    records::{Influence, Line, plane_figure, plane_figure_jvp, plane_figure_vjp},
 };
 use crate::{
     elements::circulation_by_corners,
@@ -61,7 +61,7 @@ impl Target {
     pub fn element(influence: &Influence<'_>, element: usize) -> Self {
         let layout = influence.layout;
         let corners = influence.surface.corners[element];
-        let (_, centroid, moments) = plane_figure(&corners);
+        let (centroid, moments) = plane_figure(&corners);
         let record = &layout.elements.list[element];
         let nodes = layout.nodes.of_corner[record.panel as usize];
         let weights = record.weights();
@@ -73,7 +73,7 @@ impl Target {
                 (layout.nodes.row[nodes[i] as usize], charge)
             })
             .collect();
-        let reach = layout.element_reach[element];
+        let reach = layout.reach[element];
         Self { carrier: Carrier::Element(element), corners, centroid, moments, reach, rows }
     }
 
@@ -172,9 +172,7 @@ impl Target {
     /// Seeds of the corners from those of centroid and moments.
     pub fn from_afar(&self, by_centroid: &Vector3, by_moments: &Moments) -> [Vector3; 3] {
         match self.carrier {
-            Carrier::Element(_) => std::array::from_fn(|k| {
-                by_centroid / 3.0 + moments_gradient(by_moments, &(self.corners[k] - self.centroid)) / 12.0
-            }),
+            Carrier::Element(_) => plane_figure_vjp(&self.corners, &self.centroid, (by_centroid, by_moments)),
             Carrier::Line(_, point) => {
                 let (t, _) = gauss(point);
                 [(1.0 - t) * by_centroid, t * by_centroid, Vector3::zeros()]
@@ -185,10 +183,7 @@ impl Target {
     /// Changes of centroid and moments with the corners.
     pub fn afar_jvp(&self, change: &[Vector3; 3]) -> (Vector3, Moments) {
         match self.carrier {
-            Carrier::Element(_) => {
-                let centroid = change.iter().sum::<Vector3>() / 3.0;
-                (centroid, moments_change(&self.corners, &self.centroid, change))
-            }
+            Carrier::Element(_) => plane_figure_jvp(&self.corners, &self.centroid, change),
             Carrier::Line(_, point) => {
                 let (t, _) = gauss(point);
                 ((1.0 - t) * change[0] + t * change[1], [0.0; 6])
@@ -247,24 +242,6 @@ impl Target {
             .iter()
             .position(|side| *side == Some([line.from, line.to]) || *side == Some([line.to, line.from]))
     }
-}
-
-/// The change of a triangle's moments.
-pub(super) fn moments_change(corners: &[Vector3; 3], centroid: &Vector3, change: &[Vector3; 3]) -> Moments {
-    let mut sum = [0.0; 6];
-    for (corner, d) in corners.iter().zip(change) {
-        let x = corner - centroid;
-        let part = [
-            2.0 * x.x * d.x,
-            2.0 * x.y * d.y,
-            2.0 * x.z * d.z,
-            x.x * d.y + x.y * d.x,
-            x.y * d.z + x.z * d.y,
-            x.z * d.x + x.x * d.z,
-        ];
-        (0..6).for_each(|k| sum[k] += part[k] / 12.0);
-    }
-    sum
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use super::{
     assembly::View,
     far::Moments,
-    records::{Charges, Influence},
+    records::{Charges, Influence, plane_figure_vjp},
     targets::Target,
     walk::{Near, Visitor},
 };
@@ -25,9 +25,9 @@ const GROUPS: usize = 8;
 /// Weights of the residual: for every unknown, for every onset flow.
 pub(crate) type PairSeeds<const B: usize> = [Vec<f64>; B];
 
-/// Seeds of a panel as it acts from afar.
+/// Seeds of an element as it acts from afar.
 #[derive(Clone)]
-struct PanelSeeds<const B: usize> {
+struct SourceSeeds<const B: usize> {
     centroid: Vector3,
     moments: Moments,
     charges: [Vector3; B],
@@ -36,19 +36,19 @@ struct PanelSeeds<const B: usize> {
 /// What a group of targets adds to one adjoint.
 struct Gathered<const B: usize> {
     change: SurfaceChange,
-    panels: Vec<PanelSeeds<B>>,
+    sources: Vec<SourceSeeds<B>>,
 }
 
 impl<const B: usize> Gathered<B> {
     fn new(influence: &Influence<'_>) -> Self {
-        let none = PanelSeeds { centroid: Vector3::zeros(), moments: [0.0; 6], charges: [Vector3::zeros(); B] };
-        Self { change: SurfaceChange::zeros(influence.surface), panels: vec![none; influence.panels.len()] }
+        let none = SourceSeeds { centroid: Vector3::zeros(), moments: [0.0; 6], charges: [Vector3::zeros(); B] };
+        Self { change: SurfaceChange::zeros(influence.surface), sources: vec![none; influence.sources.len()] }
     }
 
     fn add(&mut self, other: &Self) {
         self.change.beta += other.change.beta;
         self.change.points.iter_mut().zip(&other.change.points).for_each(|(a, b)| *a += b);
-        for (a, b) in self.panels.iter_mut().zip(&other.panels) {
+        for (a, b) in self.sources.iter_mut().zip(&other.sources) {
             a.centroid += b.centroid;
             (0..6).for_each(|k| a.moments[k] += b.moments[k]);
             (0..B).for_each(|k| a.charges[k] += b.charges[k]);
@@ -75,23 +75,23 @@ fn product<const B: usize>(view: &View, tests: &[Vector3; B], charge: impl Fn(us
 }
 
 impl<const B: usize> Visitor for Sum<'_, B> {
-    fn far(&mut self, view: &View, panel: usize, mean: f64, by_way: &Vector3, by_moments: &Moments) {
+    fn far(&mut self, view: &View, element: usize, mean: f64, by_way: &Vector3, by_moments: &Moments) {
         let charges = self.charges;
         for k in 0..B {
-            self.potential[k] += mean * view.turned(&charges[k].panels[panel]);
+            self.potential[k] += mean * view.turned(&charges[k].elements[element]);
         }
         let m = by_moments;
         let seen = [m[0], m[1], m[2], view.y * m[3], view.y * m[4], m[5]];
         for ((tests, gathered), moved) in self.tests.iter().zip(self.gathered.iter_mut()).zip(&mut self.moved) {
-            let (weight, turned) = product(view, tests, |k| charges[k].panels[panel]);
-            let of_panel = &mut gathered.panels[panel];
-            of_panel.centroid += weight * by_way;
+            let (weight, turned) = product(view, tests, |k| charges[k].elements[element]);
+            let of_source = &mut gathered.sources[element];
+            of_source.centroid += weight * by_way;
             moved.1 -= weight * view.place(by_way);
             for k in 0..6 {
-                of_panel.moments[k] += weight * m[k];
+                of_source.moments[k] += weight * m[k];
                 moved.2[k] += weight * seen[k];
             }
-            (0..B).for_each(|k| of_panel.charges[k] += mean * turned[k]);
+            (0..B).for_each(|k| of_source.charges[k] += mean * turned[k]);
         }
     }
 
@@ -101,11 +101,10 @@ impl<const B: usize> Visitor for Sum<'_, B> {
         for k in 0..B {
             self.potential[k] += near.mean * view.turned(&charges[k].elements[element]);
         }
-        let panel = layout.elements.list[element].panel as usize;
         let values: [[f64; 3]; B] = std::array::from_fn(|k| layout.element_values(element, &charges[k].nodes));
         for ((tests, gathered), moved) in self.tests.iter().zip(self.gathered.iter_mut()).zip(&mut self.moved) {
             let (weight, turned) = product(view, tests, |k| charges[k].elements[element]);
-            gathered.panels[panel].centroid += weight * by_way;
+            gathered.sources[element].centroid += weight * by_way;
             moved.1 -= weight * view.place(by_way);
             let mut seeds = near.by_source.map(|g| weight * g);
             for k in 0..B {
@@ -175,12 +174,17 @@ impl Influence<'_> {
             .into_iter()
             .zip(seeds)
             .map(|(gathered, seeds)| {
-                let Gathered { mut change, panels } = gathered;
-                for (panel, of) in panels.iter().enumerate() {
-                    let nodes = self.layout.nodes.of_corner[panel];
-                    let by_charge = (0..B).map(|k| (of.charges[k], nodes.map(|n| charges[k].nodes[n as usize])));
+                let Gathered { mut change, sources } = gathered;
+                for (element, of) in sources.iter().enumerate() {
+                    let corners = &self.surface.corners[element];
                     let afar = (&of.centroid, &of.moments);
-                    self.sources[panel].add_seeds(self, panel, afar, by_charge, &mut change);
+                    let mut corner_seeds = plane_figure_vjp(corners, &self.sources[element].centroid, afar);
+                    for k in 0..B {
+                        let values = self.layout.element_values(element, &charges[k].nodes);
+                        let by = circulation_by_corners(&of.charges[k], &values);
+                        (0..3).for_each(|i| corner_seeds[i] += by[i]);
+                    }
+                    change.add_corners(self.panels, &self.layout.elements, element, &corner_seeds);
                 }
                 self.right_vjp(seeds, &mut change);
                 change

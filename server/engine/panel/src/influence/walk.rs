@@ -12,11 +12,11 @@ use super::{
 
 /// What a product makes of the mean inverse distances of a target to all that acts on it.
 pub(super) trait Visitor {
-    /// A panel afar: its mean with the gradients with respect to the way from the target's centroid to the panel's, and to both moments.
-    fn far(&mut self, view: &View, panel: usize, mean: f64, by_way: &Vector3, by_moments: &Moments);
+    /// An element afar: its mean with the gradients with respect to the way from the target's centroid to the element's, and to both moments.
+    fn far(&mut self, view: &View, element: usize, mean: f64, by_way: &Vector3, by_moments: &Moments);
 
-    /// An element near by: its mean with the gradients with respect to the target's corners, the element's corners, and the way from the
-    /// target's centroid to the panel's.
+    /// An element near by: its mean with the gradients with respect to the target's corners, the element's corners, and the way between
+    /// their centroids.
     fn near(&mut self, view: &View, element: usize, mean: &Near, by_way: &Vector3);
 
     /// A triangle of a wake, likewise.
@@ -43,32 +43,30 @@ impl Influence<'_> {
     pub(super) fn walk(&self, target: &Target, visitor: &mut impl Visitor) {
         for &y in self.views() {
             let view = View::new(target, y);
-            for (panel, source) in self.sources.iter().enumerate() {
+            for (element, source) in self.sources.iter().enumerate() {
                 let way = source.centroid - Vector3::from(view.centroid);
-                let reach = self.layout.reach[panel] + target.reach;
+                let reach = self.layout.reach[element] + target.reach;
                 let moments: Moments = std::array::from_fn(|k| source.moments[k] + view.moments[k]);
                 if way.norm_squared() >= FAR_SQUARED * reach * reach {
                     let (mean, by_way, by_moments) = mean_with_gradient(way.into(), &moments);
-                    visitor.far(&view, panel, mean, &by_way.into(), &by_moments);
+                    visitor.far(&view, element, mean, &by_way.into(), &by_moments);
                     continue;
                 }
                 let (far, slope) = share(&way, reach);
                 if far > 0.0 {
                     let (mean, by_way, by_moments) = mean_with_gradient(way.into(), &moments);
                     let by_way = far * Vector3::from(by_way) + mean * slope;
-                    visitor.far(&view, panel, far * mean, &by_way, &by_moments.map(|m| far * m));
+                    visitor.far(&view, element, far * mean, &by_way, &by_moments.map(|m| far * m));
                 }
-                for element in self.layout.elements.of(panel) {
-                    let near = if target.carrier == Carrier::Element(element) && y > 0.0 {
-                        let (mean, gradient) = self.triangles[element].own_mean_with_gradient();
-                        Near { mean, by_target: gradient, by_source: [Vector3::zeros(); 3] }
-                    } else {
-                        let on = if y > 0.0 { target.on_side(self, element) } else { None };
-                        near(target, &view, &self.triangles[element], on)
-                    };
-                    let by_way = -near.mean * slope;
-                    visitor.near(&view, element, &near.scaled(1.0 - far), &by_way);
-                }
+                let near = if target.carrier == Carrier::Element(element) && y > 0.0 {
+                    let (mean, gradient) = self.triangles[element].own_mean_with_gradient();
+                    Near { mean, by_target: gradient, by_source: [Vector3::zeros(); 3] }
+                } else {
+                    let on = if y > 0.0 { target.on_side(self, element) } else { None };
+                    near(target, &view, &self.triangles[element], on)
+                };
+                let by_way = -near.mean * slope;
+                visitor.near(&view, element, &near.scaled(1.0 - far), &by_way);
             }
             for (index, sheet) in self.sheets.iter().enumerate() {
                 let on = if y > 0.0 { target.on_sheet(self, index) } else { None };

@@ -53,3 +53,29 @@ fn trial() {
         }
     }
 }
+
+#[test]
+#[ignore]
+fn elliptic() {
+    let chord: fn(f64) -> f64 = |eta| (1.0 - (0.98 * eta).powi(2)).sqrt();
+    for (around, span) in [(40, 24), (40, 48), (60, 24), (60, 40), (100, 24)] {
+        let wing = Wing { around, span, half_span: 4.0, chord, leading_edge: |eta| -0.25 * (1.0 - (0.98 * eta).powi(2)).sqrt(), thickness: 0.06, half: true };
+        let mesh = wing.mesh();
+        let setup = PanelSetup::new(&mesh, Options::default()).unwrap();
+        let a = setup.solve(&mesh.vertices, 0.0, &NoMonitor).unwrap().analyse(&flow(4.0, 64.0)).unwrap();
+        let e = a.scalars.lift.powi(2) / (std::f64::consts::PI * a.scalars.induced_drag);
+        println!("elliptic {around} {span}: CL {:.6} e {e:.4} pCL {:.6} wake {:.6} apart {:.3}%", a.scalars.lift, a.scalars.pressure_lift, a.wake_lift, 100.0 * a.disagreement);
+    }
+    for (sweep, name) in [(0.0_f64, "straight"), (30.0, "30"), (35.0, "35"), (60.0, "60")] {
+        let _ = sweep;
+        let le: fn(f64) -> f64 = match name { "straight" => |_| 0.0, "30" => |e| 4.0 * 0.57735 * e.abs(), "35" => |e| 4.0 * 0.70021 * e.abs(), _ => |e| 4.0 * 1.73205 * e.abs() };
+        for (around, span) in [(32, 20), (60, 40)] {
+            let m = Wing { around, span, leading_edge: le, half: true, ..Wing::rectangular(0, 0) }.mesh();
+            for (k, m) in [m.clone(), cut(&m, 2)].into_iter().enumerate() {
+                let Ok(setup) = PanelSetup::new(&m, Options::default()) else { println!("sweep {name}: no set-up"); continue };
+                let a = setup.solve(&m.vertices, 0.0, &NoMonitor).unwrap().analyse(&flow(5.0, 8.0)).unwrap();
+                println!("sweep {name} {around}x{span} {}: CL {:.5} CDi {:.6} apart {:.3}%", ["quads", "random"][k], a.scalars.lift, a.scalars.induced_drag, 100.0 * a.disagreement);
+            }
+        }
+    }
+}
