@@ -257,7 +257,7 @@ impl Influence<'_> {
         let on = if view.y > 0.0 { target.on_side(self, element) } else { None };
         let (probes, count) = target.probes();
         let at = |weights: &[f64; 3]| -> Vector3 { (0..3).map(|k| weights[k] * target.corners[k]).sum() };
-        probes[..count].iter().map(|w| triangle.mean(&view.place(&at(w)), on)).sum::<f64>() / count as f64
+        probes[..count].iter().map(|(at_corners, w)| w * triangle.mean(&view.place(&at(at_corners)), on)).sum()
     }
 
     /// The mean vector potential at a target, times `4 pi`, for unit circulations at the corners of the wakes.
@@ -269,9 +269,9 @@ impl Influence<'_> {
                 let view = View::new(target, y);
                 let on = if y > 0.0 { target.on_sheet(self, index) } else { None };
                 let mut mean = 0.0;
-                for weights in &probes[..count] {
+                for (weights, weight) in &probes[..count] {
                     let x = (0..3).map(|k| weights[k] * target.corners[k]).sum();
-                    mean += sheet.triangle.mean(&view.place(&x), on) / count as f64;
+                    mean += weight * sheet.triangle.mean(&view.place(&x), on);
                 }
                 for k in 0..3 {
                     let unit: [f64; 3] = std::array::from_fn(|j| if j == k { 1.0 } else { 0.0 });

@@ -12,10 +12,16 @@ use crate::{
     surface::SurfaceChange,
 };
 
-/// Points of an element over which the potential of near ones is averaged, as weights of its corners: exact for quadratic functions.
-const PROBES: [[f64; 3]; 3] = {
-    let (a, b) = (2.0 / 3.0, 1.0 / 6.0);
-    [[a, b, b], [b, a, b], [b, b, a]]
+/// Points of an element over which the potential of near ones is averaged, as weights of its corners, and their weights: exact for polynomials of the
+/// fourth degree (Strang and Fix).
+const PROBES: [([f64; 3], f64); 6] = {
+    const A: f64 = 0.091_576_213_509_770_74;
+    const B: f64 = 0.445_948_490_915_964_9;
+    const C: f64 = 1.0 - 2.0 * A;
+    const D: f64 = 1.0 - 2.0 * B;
+    const U: f64 = 0.109_951_743_655_321_87;
+    const V: f64 = 1.0 / 3.0 - U;
+    [([C, A, A], U), ([A, C, A], U), ([A, A, C], U), ([D, B, B], V), ([B, D, B], V), ([B, B, D], V)]
 };
 
 /// The carrier of test functions.
@@ -110,12 +116,12 @@ impl Target {
     }
 
     /// Points over which the potential of near triangles is averaged, as weights of the corners.
-    pub fn probes(&self) -> ([[f64; 3]; 3], usize) {
+    pub fn probes(&self) -> ([([f64; 3], f64); 6], usize) {
         match self.carrier {
-            Carrier::Element(_) => (PROBES, 3),
+            Carrier::Element(_) => (PROBES, PROBES.len()),
             Carrier::Line(_, point) => {
                 let (t, _) = gauss(point);
-                ([[1.0 - t, t, 0.0]; 3], 1)
+                ([([1.0 - t, t, 0.0], 1.0); 6], 1)
             }
         }
     }
@@ -249,16 +255,19 @@ mod tests {
     use super::*;
     use crate::elements::{circulation, circulation_by_values};
 
+    /// The mean of a product of powers of barycentric coordinates is `2 i! j! k! / (i + j + k + 2)!`.
     #[test]
-    fn probes_are_exact_for_quadratic_functions() {
-        // The mean of the product of two barycentric coordinates is 1/12, of a square 1/6.
-        for i in 0..3 {
-            for j in 0..3 {
-                let mean: f64 = PROBES.iter().map(|p| p[i] * p[j]).sum::<f64>() / 3.0;
-                let exact = if i == j { 1.0 / 6.0 } else { 1.0 / 12.0 };
-                assert!((mean - exact).abs() < 1e-15);
-            }
+    fn probes_are_exact_to_the_fourth_degree() {
+        let factorial = |n: i32| (1..=n).map(f64::from).product::<f64>();
+        for (i, j, k) in (0..=4).flat_map(|i| (0..=4 - i).flat_map(move |j| (0..=4 - i - j).map(move |k| (i, j, k)))) {
+            let mean: f64 = PROBES.iter().map(|(p, w)| w * p[0].powi(i) * p[1].powi(j) * p[2].powi(k)).sum();
+            let exact = 2.0 * factorial(i) * factorial(j) * factorial(k) / factorial(i + j + k + 2);
+            assert!((mean - exact).abs() < 1e-14, "{i} {j} {k}: {mean} {exact}");
         }
+    }
+
+    #[test]
+    fn circulation_is_linear() {
         let corners = [[0.0, 0.0, 0.0], [1.0, 0.2, 0.1], [0.3, 0.9, -0.2]].map(Vector3::from);
         let of = Vector3::new(0.3, -0.4, 0.5);
         let values = [0.2, -0.7, 1.1];

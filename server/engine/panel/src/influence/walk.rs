@@ -79,9 +79,8 @@ impl Influence<'_> {
 /// The mean over the target's probes.
 fn near(target: &Target, view: &View, triangle: &Triangle, on: Option<usize>) -> Near {
     let (probes, count) = target.probes();
-    let by = 1.0 / count as f64;
     let mut near = Near { mean: 0.0, by_target: [Vector3::zeros(); 3], by_source: [Vector3::zeros(); 3] };
-    for weights in &probes[..count] {
+    for &(weights, by) in &probes[..count] {
         let x = (0..3).map(|k| weights[k] * target.corners[k]).sum();
         let (mean, gradient) = triangle.mean_with_gradient(&view.place(&x), on);
         near.mean += by * mean;
