@@ -53,34 +53,40 @@ impl Surface {
             sizes: Vec::with_capacity(panels.len()),
             points,
         };
+        let none = |panel: usize, area: f64| PanelError::ZeroArea { cell: panels.cell_of[panel], area };
+        let exists = |area: f64, extent: f64| area.partial_cmp(&(1e-10 * extent)) == Some(std::cmp::Ordering::Greater);
         for panel in 0..panels.len() {
             let at = panels.corners[panel].map(|v| surface.points[v as usize]);
             let weights = panels.weights(panel);
+            let (one, two) = (at[2] - at[0], at[3] - at[1]);
+            let vector: Vector3 = 0.5 * one.cross(&two);
+            if !exists(vector.norm(), one.norm_squared() + two.norm_squared()) {
+                return Err(none(panel, vector.norm()));
+            }
             surface.centres.push((0..4).map(|i| weights[i] * at[i]).sum());
-            let extent = (at[2] - at[0]).norm_squared() + (at[3] - at[1]).norm_squared();
-            let (mut sum, mut size) = (Vector3::zeros(), 0.0);
-            for element in elements.of(panel) {
-                let corners: [Vector3; 3] =
-                    elements.list[element].weights().map(|w| (0..4).map(|i| w[i] * at[i]).sum());
-                let vector = area(&corners);
-                if vector.norm().partial_cmp(&(1e-10 * extent)) != Some(std::cmp::Ordering::Greater) {
-                    return Err(PanelError::ZeroArea { cell: panels.cell_of[panel], area: vector.norm() });
-                }
-                sum += vector;
-                size += vector.norm();
-                surface.corners.push(corners);
-            }
-            if sum.norm().partial_cmp(&(1e-10 * extent)) != Some(std::cmp::Ordering::Greater) {
-                return Err(PanelError::ZeroArea { cell: panels.cell_of[panel], area: sum.norm() });
-            }
-            surface.areas.push(sum);
-            surface.sizes.push(size);
+            surface.areas.push(vector);
         }
         for e in &panels.edges {
             if surface.points[e.a as usize] == surface.points[e.b as usize] {
                 let edge = [panels.vertex_of[e.a as usize], panels.vertex_of[e.b as usize]];
                 return Err(PanelError::ZeroEdge { edge, cell: panels.cell_of[e.left as usize] });
             }
+        }
+        for panel in 0..panels.len() {
+            let at = panels.corners[panel].map(|v| surface.points[v as usize]);
+            let extent = (at[2] - at[0]).norm_squared() + (at[3] - at[1]).norm_squared();
+            let mut size = 0.0;
+            for element in elements.of(panel) {
+                let corners: [Vector3; 3] =
+                    elements.list[element].weights().map(|w| (0..4).map(|i| w[i] * at[i]).sum());
+                let one = area(&corners).norm();
+                if !exists(one, extent) {
+                    return Err(none(panel, one));
+                }
+                size += one;
+                surface.corners.push(corners);
+            }
+            surface.sizes.push(size);
         }
         Ok(surface)
     }
