@@ -1,52 +1,39 @@
 //! The triangles of the panels, on which the potential is linear.
 //!
-//! A triangular panel is one element. A quadrilateral is four, around the mean of its corners, where the potential is the mean of theirs: no
-//! diagonal is preferred, and a warped one is a continuous surface.
+//! A triangular panel is one element. A quadrilateral is two, cut along its shorter diagonal at the set-up's positions. If both are equally long, the one
+//! through the aftmost corner is taken, or the outermost of two: so the upper and the lower side of a symmetric wing are cut alike, and both halves of
+//! an aircraft.
 
 use moldline_mesh::Vector3;
 
 use crate::panels::Panels;
 
-/// Weights of a panel's corners at the three corners of an element.
-pub(crate) type Weights = [[f64; 4]; 3];
+/// Lengths that differ by less than this part are equal.
+const EQUAL: f64 = 1e-6;
 
 /// An element.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Element {
     pub panel: u32,
-    /// The side of a quadrilateral from which it reaches to the middle; 4 for a triangular panel.
-    side: u8,
+    /// Its corners among those of the panel.
+    places: [u8; 3],
 }
 
 impl Element {
-    /// The corners of the element, as weights of the panel's.
-    pub fn weights(&self) -> Weights {
-        let corner = |k: usize| std::array::from_fn(|i| if i == k { 1.0 } else { 0.0 });
-        match self.side {
-            4 => [corner(0), corner(1), corner(2)],
-            side => [corner(usize::from(side)), corner((usize::from(side) + 1) % 4), [0.25; 4]],
-        }
+    /// Its corners among those of the panel.
+    pub fn places(&self) -> [usize; 3] {
+        self.places.map(usize::from)
     }
 
-    /// Its corners as those of the panel; none for a quadrilateral's middle.
-    pub fn places(&self) -> [Option<usize>; 3] {
-        match usize::from(self.side) {
-            4 => [Some(0), Some(1), Some(2)],
-            side => [Some(side), Some((side + 1) % 4), None],
-        }
+    /// What belongs to its corners, from what belongs to the panel's.
+    pub fn of_corners<T: Copy>(&self, panel: &[T; 4]) -> [T; 3] {
+        self.places().map(|k| panel[k])
     }
 
-    /// Values at the element's corners, from those at the panel's.
-    pub fn at_corners(&self, values: &[f64; 4]) -> [f64; 3] {
-        self.weights().map(|w| (0..4).map(|i| w[i] * values[i]).sum())
-    }
-
-    /// The side of the element that is the panel's side from corner `k` on, if one is.
-    pub fn side_of(&self, k: usize) -> Option<usize> {
-        match self.side {
-            4 => Some(k),
-            side => (usize::from(side) == k).then_some(0),
-        }
+    /// The side of the element that is the panel's side from corner `k` to corner `next`, if one is.
+    pub fn side_of(&self, k: usize, next: usize) -> Option<usize> {
+        let places = self.places();
+        (0..3).find(|&side| places[side] == k && places[(side + 1) % 3] == next)
     }
 }
 
@@ -59,12 +46,19 @@ pub(crate) struct Elements {
 }
 
 impl Elements {
-    pub fn new(panels: &Panels) -> Self {
+    /// `points` are the set-up's.
+    pub fn new(panels: &Panels, points: &[Vector3]) -> Self {
         let mut elements = Self::default();
         for panel in 0..panels.len() {
             elements.first.push(elements.list.len() as u32);
-            let sides = if panels.is_triangle(panel) { 4..5 } else { 0..4 };
-            elements.list.extend(sides.map(|side| Element { panel: panel as u32, side }));
+            let places: &[[u8; 3]] = if panels.is_triangle(panel) {
+                &[[0, 1, 2]]
+            } else if cut_from_first(&panels.corners[panel].map(|p| points[p as usize])) {
+                &[[0, 1, 2], [0, 2, 3]]
+            } else {
+                &[[1, 2, 3], [1, 3, 0]]
+            };
+            elements.list.extend(places.iter().map(|places| Element { panel: panel as u32, places: *places }));
         }
         elements.first.push(elements.list.len() as u32);
         elements
@@ -78,6 +72,25 @@ impl Elements {
     pub fn len(&self) -> usize {
         self.list.len()
     }
+}
+
+/// Whether a quadrilateral is cut from its first corner to its third.
+fn cut_from_first(corners: &[Vector3; 4]) -> bool {
+    let (one, two) = ((corners[2] - corners[0]).norm(), (corners[3] - corners[1]).norm());
+    if (one - two).abs() > EQUAL * one.max(two) {
+        return one < two;
+    }
+    let size = EQUAL * one;
+    let before = |a: &Vector3, b: &Vector3| {
+        if (a.x - b.x).abs() > size { a.x < b.x } else { a.y.abs() < b.y.abs() - size }
+    };
+    let mut last = 0;
+    for k in 1..4 {
+        if before(&corners[last], &corners[k]) {
+            last = k;
+        }
+    }
+    last % 2 == 0
 }
 
 /// Area times `n x gradient` of values at the corners of a triangle: the integral of the vortex sheet, `-1/2 sum_k value_k (edge opposite to k)`.

@@ -5,7 +5,7 @@
 //! root, so that a vertex has one unknown, and its other nodes add the jump. At a tip, where the cut ends, there is one node: no circulation.
 //!
 //! At the end of a path on the plane of symmetry the circulation is that of the root, since the image cancels what leaves the body. Elsewhere
-//! two paths that arrive from opposite sides change over to their mean, and others to zero, so that no concentrated vortex leaves the body.
+//! it changes along the path so that all that arrive at an aft end cancel ([`Wakes::leaving`]), and no concentrated vortex leaves the body.
 
 use std::collections::BTreeMap;
 
@@ -101,9 +101,9 @@ impl Nodes {
                 let root = &self.ends[index][side];
                 let last = match strip.beside[side] {
                     Beside::Body(end) if panels.symmetric && panels.on_plane[end as usize] => root.clone(),
-                    Beside::Body(end) => {
+                    Beside::Body(_) => {
                         let ends = |(end, factor): (u32, f64)| (factor, &self.ends[end as usize / 2][end as usize % 2]);
-                        combine(&wakes.leaving(end).into_iter().map(ends).collect::<Vec<_>>())
+                        combine(&wakes.leaving(index, side).into_iter().map(ends).collect::<Vec<_>>())
                     }
                     _ => Vec::new(),
                 };

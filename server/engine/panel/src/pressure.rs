@@ -159,8 +159,7 @@ impl<const B: usize> Potentials<'_, B> {
                 let corners = &surface.corners[e];
                 let vector = area(corners);
                 let n = vector.normalize();
-                let record = &layout.elements.list[e];
-                let nodes = layout.nodes.of_corner[panel];
+                let nodes = layout.elements.list[e].of_corners(&layout.nodes.of_corner[panel]);
                 let mut corner_seeds = [Vector3::zeros(); 3];
                 let mut of_normal = Vector3::zeros();
                 for k in 0..B {
@@ -171,10 +170,8 @@ impl<const B: usize> Potentials<'_, B> {
                     of_normal += seed.cross(&circulation(corners, &values));
                     let by_corners = circulation_by_corners(&of_c, &values);
                     (0..3).for_each(|i| corner_seeds[i] += by_corners[i]);
-                    for (weights, by) in record.weights().iter().zip(circulation_by_values(&of_c, corners)) {
-                        for (node, weight) in nodes.iter().zip(weights) {
-                            node_seeds[k][*node as usize] += weight * by;
-                        }
+                    for (node, by) in nodes.iter().zip(circulation_by_values(&of_c, corners)) {
+                        node_seeds[k][*node as usize] += by;
                     }
                 }
                 let of_area = (of_normal - n * n.dot(&of_normal)) / vector.norm() + of_sizes[panel] * n;

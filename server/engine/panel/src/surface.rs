@@ -77,8 +77,7 @@ impl Surface {
             let extent = (at[2] - at[0]).norm_squared() + (at[3] - at[1]).norm_squared();
             let mut size = 0.0;
             for element in elements.of(panel) {
-                let corners: [Vector3; 3] =
-                    elements.list[element].weights().map(|w| (0..4).map(|i| w[i] * at[i]).sum());
+                let corners = elements.list[element].of_corners(&at);
                 let one = area(&corners).norm();
                 if !exists(one, extent) {
                     return Err(none(panel, one));
@@ -139,18 +138,14 @@ impl SurfaceChange {
     /// The changes of an element's corners.
     pub fn corners(&self, panels: &Panels, elements: &Elements, element: usize) -> [Vector3; 3] {
         let element = &elements.list[element];
-        let at = panels.corners[element.panel as usize].map(|v| self.points[v as usize]);
-        element.weights().map(|w| (0..4).map(|i| w[i] * at[i]).sum())
+        element.of_corners(&panels.corners[element.panel as usize]).map(|v| self.points[v as usize])
     }
 
     /// Adds to the seeds of an element's corners.
     pub fn add_corners(&mut self, panels: &Panels, elements: &Elements, element: usize, seeds: &[Vector3; 3]) {
         let element = &elements.list[element];
-        for (weights, seed) in element.weights().iter().zip(seeds) {
-            for (point, weight) in panels.corners[element.panel as usize].iter().zip(weights) {
-                self.points[*point as usize] += *weight * seed;
-            }
-        }
+        let points = element.of_corners(&panels.corners[element.panel as usize]);
+        points.iter().zip(seeds).for_each(|(point, seed)| self.points[*point as usize] += seed);
     }
 
     /// The change of a panel's centre.

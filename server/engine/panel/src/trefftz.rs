@@ -102,7 +102,7 @@ impl Trace {
                 let Beside::Body(end) = strip.beside[side] else { continue };
                 let root = vec![(own[side], 1.0)];
                 let sheds = !(panels.symmetric && panels.on_plane[end as usize]);
-                let left = if sheds { wakes.leaving(end) } else { root.clone() };
+                let left = if sheds { wakes.leaving(index, side) } else { root.clone() };
                 let (ends, circulations) =
                     if side == 0 { ([end, point], [left, root]) } else { ([point, end], [root, left]) };
                 pieces.push(Piece { ends, circulations, sheds });

@@ -95,7 +95,7 @@ fn vortices<const B: usize>(
             if panels.symmetric && panels.on_plane[end as usize] {
                 continue;
             }
-            let left = wakes.leaving(end);
+            let left = wakes.leaving(index, side);
             let sign = if side == 0 { 1.0 } else { -1.0 };
             let fall = |k: usize| {
                 let left: f64 = left.iter().map(|(e, f)| f * circulations[k][*e as usize]).sum();

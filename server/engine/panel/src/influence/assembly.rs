@@ -12,7 +12,7 @@ use super::{
 use crate::{
     Monitor, PanelError, Stage,
     clusters::{PATCH, Patch},
-    elements::circulation,
+    elements::{Element, circulation},
     linear_system::Matrix,
     progress::Progress,
     surface::area,
@@ -29,10 +29,8 @@ struct Lanes {
     reach: Vec<f64>,
     /// Circulations for unit values at the corners of the elements.
     charges: Vec<[[f64; 3]; 3]>,
-    /// Columns of the corners: nodes of the patch, and behind them the middles of its quadrilaterals.
-    columns: Vec<[usize; 3]>,
-    /// Nodes around the middles, as columns.
-    middles: Vec<[u32; 4]>,
+    /// Their nodes, as places among the patch's.
+    columns: Vec<[u32; 3]>,
 }
 
 impl Lanes {
@@ -40,18 +38,12 @@ impl Lanes {
         let list = &influence.layout.elements;
         let elements: Vec<usize> = patch.panels.iter().flat_map(|p| list.of(*p as usize)).collect();
         let source = |e: &usize| &influence.sources[*e];
-        let mut middles = Vec::new();
-        let mut columns = Vec::with_capacity(elements.len());
-        for (panel, places) in patch.panels.iter().zip(&patch.places) {
-            let quadrilateral = !influence.panels.is_triangle(*panel as usize);
-            let middle = patch.nodes.len() + middles.len();
-            if quadrilateral {
-                middles.push(*places);
-            }
-            for element in list.of(*panel as usize) {
-                columns.push(list.list[element].places().map(|k| k.map_or(middle, |k| places[k] as usize)));
-            }
-        }
+        let columns = patch
+            .panels
+            .iter()
+            .zip(&patch.places)
+            .flat_map(|(panel, places)| list.of(*panel as usize).map(|e| list.list[e].of_corners(places)))
+            .collect();
         let charges = |e: &usize| {
             let corners = &influence.surface.corners[*e];
             [0, 1, 2].map(|k| circulation(corners, &std::array::from_fn(|j| if j == k { 1.0 } else { 0.0 })).into())
@@ -63,7 +55,6 @@ impl Lanes {
             charges: elements.iter().map(charges).collect(),
             elements,
             columns,
-            middles,
         }
     }
 }
@@ -157,7 +148,7 @@ impl Influence<'_> {
         let mut part = Vec::new();
         let mut sums = Vec::new();
         for (patch, lanes) in self.layout.patches.iter().zip(lanes) {
-            let columns = patch.nodes.len() + lanes.middles.len();
+            let columns = patch.nodes.len();
             part.clear();
             part.resize(rows.len() * columns, 0.0);
             for target in &targets {
@@ -179,12 +170,8 @@ impl Influence<'_> {
                     );
                 }
             }
-            for (values, out) in part.chunks_mut(columns).zip(block.chunks_mut(n)) {
-                let (of_nodes, of_middles) = values.split_at_mut(patch.nodes.len());
-                for (value, around) in of_middles.iter().zip(&lanes.middles) {
-                    around.iter().for_each(|place| of_nodes[*place as usize] += 0.25 * value);
-                }
-                for (value, node) in of_nodes.iter().zip(&patch.nodes) {
+            for (values, out) in part.chunks(columns).zip(block.chunks_mut(n)) {
+                for (value, node) in values.iter().zip(&patch.nodes) {
                     for (unknown, factor) in &self.layout.nodes.value[*node as usize] {
                         out[*unknown as usize] += factor * value;
                     }
@@ -209,8 +196,8 @@ impl Influence<'_> {
     /// Adds the mean vector potential at a target, times `4 pi`, for unit values at the columns of a patch: x, then y, then z of all.
     fn potential(&self, target: &Target, lanes: &Lanes, columns: usize, sums: &mut [f64]) {
         let count = lanes.elements.len();
-        let mut means = [0.0; 4 * PATCH];
-        let mut distances = [0.0; 4 * PATCH];
+        let mut means = [0.0; 2 * PATCH];
+        let mut distances = [0.0; 2 * PATCH];
         for &y in self.views() {
             let view = View::new(target, y);
             let [cx, cy, cz] = lanes.centroid.each_ref().map(|c| &c[..count]);
@@ -239,7 +226,8 @@ impl Influence<'_> {
             let (x, rest) = sums.split_at_mut(columns);
             let (of_y, z) = rest.split_at_mut(columns);
             for ((mean, charges), places) in means.iter().zip(&lanes.charges).zip(&lanes.columns) {
-                for (charge, &place) in charges.iter().zip(places) {
+                for (charge, place) in charges.iter().zip(places) {
+                    let place = *place as usize;
                     x[place] += y * mean * charge[0];
                     of_y[place] += mean * charge[1];
                     z[place] += y * mean * charge[2];
@@ -290,22 +278,16 @@ impl Influence<'_> {
             let vector = area(&self.surface.corners[element]);
             for (k, b) in right.iter_mut().enumerate() {
                 let flux = 4.0 * std::f64::consts::PI / 3.0 * vector.dot(&self.surface.onset(axes[k]));
-                self.each_test(record, |row, weight| b[row] += weight * flux);
+                self.tests(record).iter().for_each(|row| b[*row] += flux);
             }
         }
         right
     }
 
-    /// Calls back with the unknowns of an element's panel and the sum of their test functions at its corners.
-    pub(super) fn each_test(&self, element: &crate::elements::Element, mut each: impl FnMut(usize, f64)) {
-        let nodes = self.layout.nodes.of_corner[element.panel as usize];
-        let weights = element.weights();
-        for (i, node) in nodes.iter().enumerate() {
-            let weight = weights[0][i] + weights[1][i] + weights[2][i];
-            if weight > 0.0 {
-                each(self.layout.nodes.row[*node as usize] as usize, weight);
-            }
-        }
+    /// The unknowns whose test functions are 1 at the corners of an element.
+    pub(super) fn tests(&self, element: &Element) -> [usize; 3] {
+        let nodes = &self.layout.nodes;
+        element.of_corners(&nodes.of_corner[element.panel as usize]).map(|n| nodes.row[n as usize] as usize)
     }
 
     /// Adds what fixes the mean of the potential of every connected piece, which nothing else depends on: `s 1 1^T` over its unknowns, s being the

@@ -43,7 +43,7 @@ pub(crate) struct Line {
 impl Layout {
     /// `points` are the set-up's.
     pub fn new(panels: &Panels, wakes: &Wakes, nodes: Nodes, points: &[Vector3]) -> Self {
-        let elements = Elements::new(panels);
+        let elements = Elements::new(panels, points);
         let at = |panel: usize| panels.corners[panel].map(|v| points[v as usize]);
         let reach = |corners: &[Vector3]| {
             let centre = corners.iter().sum::<Vector3>() / corners.len() as f64;
@@ -51,8 +51,7 @@ impl Layout {
         };
         let of_element = |element: usize| {
             let element = &elements.list[element];
-            let at = at(element.panel as usize);
-            reach(&element.weights().map(|w| (0..4).map(|i| w[i] * at[i]).sum()))
+            reach(&element.of_corners(&at(element.panel as usize)))
         };
         let (low, high) = points.iter().fold(
             (Vector3::repeat(f64::INFINITY), Vector3::repeat(f64::NEG_INFINITY)),
@@ -87,7 +86,7 @@ impl Layout {
     /// Values at the corners of an element, from those of the nodes.
     pub fn element_values(&self, element: usize, nodes: &[f64]) -> [f64; 3] {
         let element = &self.elements.list[element];
-        element.at_corners(&self.nodes.of_corner[element.panel as usize].map(|n| nodes[n as usize]))
+        element.of_corners(&self.nodes.of_corner[element.panel as usize]).map(|n| nodes[n as usize])
     }
 
     /// Circulations of the wakes' corners.

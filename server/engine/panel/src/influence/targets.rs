@@ -69,16 +69,9 @@ impl Target {
         let corners = influence.surface.corners[element];
         let (centroid, moments) = plane_figure(&corners);
         let record = &layout.elements.list[element];
-        let nodes = layout.nodes.of_corner[record.panel as usize];
-        let weights = record.weights();
-        let count = if influence.panels.is_triangle(record.panel as usize) { 3 } else { 4 };
-        let unit = [0, 1, 2].map(|k: usize| -0.5 * (corners[(k + 2) % 3] - corners[(k + 1) % 3]));
-        let rows = (0..count)
-            .map(|i| {
-                let charge = (0..3).map(|k| weights[k][i] * unit[k]).sum();
-                (layout.nodes.row[nodes[i] as usize], charge)
-            })
-            .collect();
+        let nodes = record.of_corners(&layout.nodes.of_corner[record.panel as usize]);
+        let row = |k: usize| (layout.nodes.row[nodes[k] as usize], -0.5 * (corners[(k + 2) % 3] - corners[(k + 1) % 3]));
+        let rows = [0, 1, 2].map(row).to_vec();
         let reach = layout.reach[element];
         Self { carrier: Carrier::Element(element), corners, centroid, moments, reach, rows }
     }
@@ -134,12 +127,9 @@ impl Target {
     /// The change of [`circulation`](Self::circulation) of the test functions with the corners: of every unknown in `rows`.
     pub fn rows_jvp(&self, influence: &Influence<'_>, change: &[Vector3; 3]) -> Vec<(u32, Vector3)> {
         match self.carrier {
-            Carrier::Element(element) => {
-                let record = &influence.layout.elements.list[element];
-                let weights = record.weights();
-                let unit = [0, 1, 2].map(|k: usize| -0.5 * (change[(k + 2) % 3] - change[(k + 1) % 3]));
-                let of = |(i, (row, _)): (usize, &(u32, Vector3))| {
-                    (*row, (0..3).map(|k| weights[k][i] * unit[k]).sum())
+            Carrier::Element(_) => {
+                let of = |(k, (row, _)): (usize, &(u32, Vector3))| {
+                    (*row, -0.5 * (change[(k + 2) % 3] - change[(k + 1) % 3]))
                 };
                 self.rows.iter().enumerate().map(of).collect()
             }
@@ -156,11 +146,9 @@ impl Target {
     /// The gradient of `of.circulation(unknowns)` with respect to the corners.
     pub fn circulation_by_corners(&self, influence: &Influence<'_>, unknowns: &[f64], of: &Vector3) -> [Vector3; 3] {
         match self.carrier {
-            Carrier::Element(element) => {
-                let record = &influence.layout.elements.list[element];
-                let nodes = influence.layout.nodes.of_corner[record.panel as usize];
-                let values = nodes.map(|n| unknowns[influence.layout.nodes.row[n as usize] as usize]);
-                circulation_by_corners(of, &record.at_corners(&values))
+            Carrier::Element(_) => {
+                let values = [0, 1, 2].map(|k| unknowns[self.rows[k].0 as usize]);
+                circulation_by_corners(of, &values)
             }
             Carrier::Line(index, point) => {
                 let (t, weight) = gauss(point);
@@ -236,7 +224,7 @@ impl Target {
             let ends = [points[k], points[(k + 1) % count]];
             ends == [line.from, line.to] || ends == [line.to, line.from]
         })?;
-        record.side_of(side)
+        record.side_of(side, (side + 1) % count)
     }
 
     /// The side of a wake's triangle on which the target lies.

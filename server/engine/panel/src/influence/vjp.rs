@@ -230,9 +230,7 @@ impl Influence<'_> {
             let corners = &self.surface.corners[element];
             let mut of_area = Vector3::zeros();
             for (k, seed) in seeds.iter().enumerate() {
-                let mut weight = 0.0;
-                self.each_test(record, |row, factor| weight -= factor * seed[row]);
-                let weight = 4.0 * PI / 3.0 * weight;
+                let weight = -4.0 * PI / 3.0 * self.tests(record).iter().map(|row| seed[*row]).sum::<f64>();
                 of_area += weight * self.surface.onset(axes[k]);
                 change.beta += weight * area(corners).dot(&self.surface.onset_by_beta(axes[k]));
             }

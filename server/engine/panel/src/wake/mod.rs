@@ -62,20 +62,21 @@ impl Wakes {
         Ok(())
     }
 
-    /// The circulation at a body's aft end off the plane of symmetry, as factors of those at the ends of strips (strip after strip): the mean of two
-    /// that arrive from opposite sides, else none.
-    pub fn leaving(&self, end: u32) -> Vec<(u32, f64)> {
+    /// What is left of a circulation at its body's aft end off the plane of symmetry, as factors of those at the ends of strips (strip after strip): all that
+    /// arrive there give up the same share of what would leave as one vortex.
+    pub fn leaving(&self, index: usize, side: usize) -> Vec<(u32, f64)> {
+        let end = self.strips[index].beside[side];
         let mut arriving = Vec::new();
-        for (index, strip) in self.strips.iter().enumerate() {
-            for side in 0..2 {
-                if strip.beside[side] == Beside::Body(end) {
-                    arriving.push((side, 2 * index as u32 + side as u32));
+        for (other, strip) in self.strips.iter().enumerate() {
+            for of in 0..2 {
+                if strip.beside[of] == end {
+                    arriving.push((2 * other + of, if of == side { 1.0 } else { -1.0 }));
                 }
             }
         }
-        match arriving[..] {
-            [(one, first), (two, second)] if one != two => vec![(first, 0.5), (second, 0.5)],
-            _ => Vec::new(),
-        }
+        let share = 1.0 / arriving.len() as f64;
+        let own = 2 * index + side;
+        let term = |(other, sign): (usize, f64)| (other as u32, f64::from(u8::from(other == own)) - sign * share);
+        arriving.into_iter().map(term).filter(|(_, factor)| *factor != 0.0).collect()
     }
 }

@@ -79,3 +79,42 @@ fn elliptic() {
         }
     }
 }
+
+#[test]
+#[ignore]
+fn e175() {
+    for name in ["study/mesh-coarse.msh"] {
+        let path = format!("{}/../../../examples/e175/{name}", env!("CARGO_MANIFEST_DIR"));
+        let mesh = moldline_mesh::io::msh::read(&std::fs::read(path).unwrap(), &moldline_mesh::Limits::default()).unwrap().mesh;
+        let names = ["trailing_edge_wing", "trailing_edge_htail"].map(str::to_owned).to_vec();
+        let mut list = vec![mesh.clone()];
+        if name.starts_with("study") {
+            for how in 0..4 { let mut c = cut(&mesh, how);
+            c.vertex_groups = mesh.vertex_groups.clone();
+            list.push(c); }
+        }
+        let list_len = 10;
+        for m in list {
+            let t = std::time::Instant::now();
+            let setup = PanelSetup::new(&m, Options { trailing_edges: TrailingEdges::Groups(names.clone()), ..Options::default() }).unwrap();
+            let t1 = t.elapsed();
+            let s = std::sync::Arc::new(setup.solve(&m.vertices, 0.7, &NoMonitor).unwrap());
+            let t2 = t.elapsed();
+            let mut f = flow(2.0, 70.0);
+            for alpha in [0.0_f64, 2.0, 4.0] {
+                f.alpha = alpha.to_radians();
+                let a = s.analyse(&f).unwrap();
+                println!("e175 {} cells {:?} {:?}: CL {:.5} CDi {:.6} CM {:.5} wake {:.5} apart {:.3}% n {}", m.cells.len(), t1, t2, a.scalars.lift, a.scalars.induced_drag, a.scalars.moment, a.wake_lift, 100.0 * a.disagreement, setup.summary().unknowns);
+            }
+            
+            let l = s.linearise(&f).unwrap();
+            let seed = Outputs { scalars: Scalars { pressure_drag: 1.0, ..Scalars::default() }, ..Outputs::default() };
+            let t = std::time::Instant::now();
+            l.vjp(&[seed.clone()], &NoMonitor).unwrap();
+            println!("one adjoint {:?}", t.elapsed());
+            let t = std::time::Instant::now();
+            l.vjp(&vec![seed; 6], &NoMonitor).unwrap();
+            println!("six adjoints {:?}", t.elapsed());
+        }
+    }
+}
