@@ -4,6 +4,7 @@ use std::{io, path::PathBuf};
 
 use moldline_check::CheckError;
 use moldline_host::ServiceError;
+use moldline_mesh::io::Format;
 
 use crate::{shell::ServeError, status::StatusError};
 
@@ -29,6 +30,12 @@ pub enum Failure {
         path: PathBuf,
         /// The cause.
         error: io::Error,
+    },
+    /// A file to write whose ending is none of a format.
+    #[error("{}: its ending is none of a format that can be written; name a {} file", path.display(), Format::ENDINGS)]
+    OutputFormat {
+        /// The file.
+        path: PathBuf,
     },
     /// The design file has another content.
     #[error("{}: {reason}", path.display())]

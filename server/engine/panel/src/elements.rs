@@ -58,7 +58,9 @@ impl Elements {
             } else {
                 &[[1, 2, 3], [1, 3, 0]]
             };
-            elements.list.extend(places.iter().map(|places| Element { panel: panel as u32, places: *places }));
+            elements
+                .list
+                .extend(places.iter().map(|places| Element { panel: panel as u32, places: *places }));
         }
         elements.first.push(elements.list.len() as u32);
         elements

@@ -91,7 +91,11 @@ impl Nodes {
         for strip in &wakes.strips {
             let at = |point: u32| {
                 let [upper, lower] = [strip.upper, strip.lower].map(|panel| self.at(panels, panel, point));
-                if upper == lower { Vec::new() } else { vec![(self.row[upper as usize], 1.0), (self.row[lower as usize], -1.0)] }
+                if upper == lower {
+                    Vec::new()
+                } else {
+                    vec![(self.row[upper as usize], 1.0), (self.row[lower as usize], -1.0)]
+                }
             };
             self.ends.push([at(strip.a), at(strip.b)]);
         }
@@ -102,7 +106,9 @@ impl Nodes {
                 let last = match strip.beside[side] {
                     Beside::Body(end) if panels.symmetric && panels.on_plane[end as usize] => root.clone(),
                     Beside::Body(_) => {
-                        let ends = |(end, factor): (u32, f64)| (factor, &self.ends[end as usize / 2][end as usize % 2]);
+                        let ends = |(end, factor): (u32, f64)| {
+                            (factor, &self.ends[end as usize / 2][end as usize % 2])
+                        };
                         combine(&wakes.leaving(index, side).into_iter().map(ends).collect::<Vec<_>>())
                     }
                     _ => Vec::new(),
@@ -119,7 +125,14 @@ impl Nodes {
     }
 
     /// Potentials of the nodes along paths.
-    fn jumps(&mut self, panels: &Panels, wakes: &Wakes, corners_at: &[Vec<(u32, u32)>], cut: &Cut, first_node: &[u32]) {
+    fn jumps(
+        &mut self,
+        panels: &Panels,
+        wakes: &Wakes,
+        corners_at: &[Vec<(u32, u32)>],
+        cut: &Cut,
+        first_node: &[u32],
+    ) {
         // Jumps from the left panel of an edge to its right one, at a point of it.
         let mut jumps: BTreeMap<(u32, u32), Combination> = BTreeMap::new();
         for (paths, along) in wakes.paths.iter().zip(&self.along) {
@@ -252,8 +265,11 @@ struct Sectors {
 impl Cut {
     fn new(panels: &Panels, wakes: &Wakes) -> Self {
         let points = panels.point_edges.len();
-        let mut cut =
-            Self { edges: wakes.trailing.clone(), trailing: vec![false; points], on_path: vec![false; points] };
+        let mut cut = Self {
+            edges: wakes.trailing.clone(),
+            trailing: vec![false; points],
+            on_path: vec![false; points],
+        };
         cut.edges.resize(panels.edges.len(), false);
         for strip in &wakes.strips {
             [strip.a, strip.b].iter().for_each(|p| cut.trailing[*p as usize] = true);
@@ -280,7 +296,8 @@ impl Cut {
             let e = &panels.edges[edge as usize];
             let (false, Some(right)) = (self.edges[edge as usize], e.right) else { continue };
             if let (Some(left), Some(right)) = (place(e.left), place(right)) {
-                let (keep, drop) = (of_corner[left].min(of_corner[right]), of_corner[left].max(of_corner[right]));
+                let (keep, drop) =
+                    (of_corner[left].min(of_corner[right]), of_corner[left].max(of_corner[right]));
                 of_corner.iter_mut().filter(|s| **s == drop).for_each(|s| *s = keep);
             }
         }

@@ -70,7 +70,8 @@ impl PanelSetup {
             });
         }
         let wakes = Wakes::new(mesh, &panels, &options.trailing_edges)?;
-        let layout = Layout::new(&panels, &wakes, Nodes::new(&panels, &wakes)?, &panels.gather(&mesh.vertices));
+        let layout =
+            Layout::new(&panels, &wakes, Nodes::new(&panels, &wakes)?, &panels.gather(&mesh.vertices));
         let trace = Trace::new(&panels, &wakes);
         let components = components(mesh, &panels, &options)?;
         let vertex_cells = moldline_mesh::Topology::new(mesh).vertex_cells;

@@ -1,10 +1,14 @@
 //! The panels that are solved: their points, edges and neighbours, as far as they do not depend on positions.
 
-use moldline_mesh::{Cell, Limits, Plane, SurfaceMesh, Topology, Vector3, topology::enclosed_volume};
+use moldline_mesh::{
+    Cell, Limits, Plane, SurfaceMesh, Topology, Vector3,
+    cracks::{self, Crack},
+    topology::enclosed_volume,
+};
 
 use crate::{
     PanelError, Symmetry,
-    symmetry::{Partners, SYMMETRY_TOLERANCE, mirrored},
+    symmetry::{Partners, mirrored, symmetry_tolerance},
 };
 
 /// An edge of solved panels.
@@ -60,7 +64,7 @@ impl Panels {
             return Err(PanelError::Inconsistent { edge: topology.edges[edge as usize], cells });
         }
         let [low, high] = mesh.bounds();
-        let tolerance = SYMMETRY_TOLERANCE * (Vector3::from(high) - Vector3::from(low)).norm();
+        let tolerance = symmetry_tolerance(&mesh.vertices);
         let plane = Plane::y_zero();
         let half = match symmetry {
             Symmetry::Half => true,
@@ -69,6 +73,14 @@ impl Panels {
         };
         let open = topology.open_edges(&mesh.vertices, half.then_some((&plane, tolerance)));
         if let Some(&edge) = open.first() {
+            let edges: Vec<[u32; 2]> = open.iter().map(|&edge| topology.edges[edge as usize]).collect();
+            let size = (Vector3::from(high) - Vector3::from(low)).norm();
+            if let Some(crack) = cracks::find(&mesh.vertices, &edges, size) {
+                let Crack { edges, distance, first } = crack;
+                let position = mesh.vertices[first[0] as usize];
+                let tolerance = crack.tolerance(size);
+                return Err(PanelError::Crack { count: edges, edge: first, position, distance, tolerance });
+            }
             let cell = topology.edge_cells.row(edge as usize)[0];
             return Err(PanelError::Open { count: open.len(), edge: topology.edges[edge as usize], cell });
         }
@@ -181,8 +193,8 @@ impl Panels {
 
     /// Checks that both halves are still each other's image.
     pub fn check_symmetry(&self, vertices: &[[f64; 3]]) -> Result<(), PanelError> {
-        let extent = vertices.iter().flatten().fold(0.0_f64, |m, x| m.max(x.abs()));
-        let tolerance = SYMMETRY_TOLERANCE * extent;
+        // Those that were found at this tolerance stay within it, whichever way the distance is rounded.
+        let tolerance = 1.001 * symmetry_tolerance(vertices);
         for (point, &vertex) in self.vertex_of.iter().enumerate() {
             let x = Vector3::from(vertices[vertex as usize]);
             if self.on_plane[point] && x.y.abs() > tolerance {

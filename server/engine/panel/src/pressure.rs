@@ -84,7 +84,12 @@ impl<const B: usize> Potentials<'_, B> {
     }
 
     /// The changes of the forms with those of surface and nodes.
-    pub fn jvp(&self, pressure: &Pressure<B>, change: &SurfaceChange, d_nodes: &[Vec<f64>; B]) -> Vec<Form<B>> {
+    pub fn jvp(
+        &self,
+        pressure: &Pressure<B>,
+        change: &SurfaceChange,
+        d_nodes: &[Vec<f64>; B],
+    ) -> Vec<Form<B>> {
         let (surface, layout) = (self.surface, self.layout);
         let onsets = self.onsets();
         let d_onsets: [Vector3; B] =
@@ -142,7 +147,9 @@ impl<const B: usize> Potentials<'_, B> {
         let mut of_sums: [Vec<Vector3>; B] = std::array::from_fn(|_| Vec::new());
         for k in 0..B {
             let both = |panel: usize, l: usize| seeds[panel][k][l] + seeds[panel][l][k];
-            let velocity = |panel: usize| -(0..B).map(|l| both(panel, l) * pressure.velocities[l][panel]).sum::<Vector3>();
+            let velocity = |panel: usize| {
+                -(0..B).map(|l| both(panel, l) * pressure.velocities[l][panel]).sum::<Vector3>()
+            };
             let of_velocities: Vec<Vector3> = (0..self.panels.len()).map(velocity).collect();
             let onset: Vector3 =
                 (0..self.panels.len()).map(|p| (0..B).map(|l| both(p, l) * onsets[l]).sum::<Vector3>()).sum();
@@ -294,7 +301,13 @@ fn area_change(panels: &Panels, surface: &Surface, panel: usize, change: &Surfac
 }
 
 /// The transpose of [`area_change`].
-fn add_area_seed(panels: &Panels, surface: &Surface, panel: usize, seed: &Vector3, change: &mut SurfaceChange) {
+fn add_area_seed(
+    panels: &Panels,
+    surface: &Surface,
+    panel: usize,
+    seed: &Vector3,
+    change: &mut SurfaceChange,
+) {
     let corners = panels.corners[panel].map(|p| p as usize);
     let [a, b, c, d] = corners.map(|p| surface.points[p]);
     let one = 0.5 * (d - b).cross(seed);

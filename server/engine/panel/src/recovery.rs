@@ -8,10 +8,7 @@
 
 use moldline_mesh::Vector3;
 
-use crate::{
-    nodes::Smooth,
-    panels::Panels,
-};
+use crate::{nodes::Smooth, panels::Panels};
 
 /// How much of what averaging loses is taken back.
 const BACK: f64 = 5.0 / 6.0;
@@ -97,18 +94,21 @@ impl<'a> Recovery<'a> {
     /// The velocities for gradients of all panels.
     pub fn eval(&self, gradients: &[Vector3]) -> Vec<Vector3> {
         let once = self.averaged(gradients);
-        let twice: Vec<Vector3> = gradients.iter().zip(&once).map(|(w, g)| (1.0 + BACK) * w - BACK * g).collect();
+        let twice: Vec<Vector3> =
+            gradients.iter().zip(&once).map(|(w, g)| (1.0 + BACK) * w - BACK * g).collect();
         self.averaged(&twice)
     }
 
     /// The changes of the velocities.
     pub fn jvp(&self, gradients: &[Vector3], d_gradients: &[Vector3], d_sizes: &[f64]) -> Vec<Vector3> {
         let once = self.averaged(gradients);
-        let twice: Vec<Vector3> = gradients.iter().zip(&once).map(|(w, g)| (1.0 + BACK) * w - BACK * g).collect();
+        let twice: Vec<Vector3> =
+            gradients.iter().zip(&once).map(|(w, g)| (1.0 + BACK) * w - BACK * g).collect();
         let by_sizes = self.averaged_by_sizes(gradients, d_sizes);
         let d_once = self.averaged(d_gradients);
-        let d_twice: Vec<Vector3> =
-            (0..gradients.len()).map(|p| (1.0 + BACK) * d_gradients[p] - BACK * (d_once[p] + by_sizes[p])).collect();
+        let d_twice: Vec<Vector3> = (0..gradients.len())
+            .map(|p| (1.0 + BACK) * d_gradients[p] - BACK * (d_once[p] + by_sizes[p]))
+            .collect();
         let mut out = self.averaged(&d_twice);
         out.iter_mut().zip(self.averaged_by_sizes(&twice, d_sizes)).for_each(|(x, y)| *x += y);
         out
@@ -117,7 +117,8 @@ impl<'a> Recovery<'a> {
     /// The transpose of [`jvp`](Self::jvp): seeds of the gradients; adds to those of the areas.
     pub fn vjp(&self, gradients: &[Vector3], seeds: &[Vector3], of_sizes: &mut [f64]) -> Vec<Vector3> {
         let once = self.averaged(gradients);
-        let twice: Vec<Vector3> = gradients.iter().zip(&once).map(|(w, g)| (1.0 + BACK) * w - BACK * g).collect();
+        let twice: Vec<Vector3> =
+            gradients.iter().zip(&once).map(|(w, g)| (1.0 + BACK) * w - BACK * g).collect();
         let of_twice = self.averaged_vjp(&twice, seeds, of_sizes);
         let minus: Vec<Vector3> = of_twice.iter().map(|s| -BACK * s).collect();
         let of_once = self.averaged_vjp(gradients, &minus, of_sizes);

@@ -160,7 +160,13 @@ impl<const B: usize> State<B> {
         let mut of_mu: [Vec<f64>; B] = std::array::from_fn(|_| vec![0.0; nodes.rows()]);
         for k in 0..B {
             let of_ends = &mut circulations[k];
-            trace.lift_vjp(&surface.points, &self.circulations[k], totals.lift[k], &mut change.points, of_ends);
+            trace.lift_vjp(
+                &surface.points,
+                &self.circulations[k],
+                totals.lift[k],
+                &mut change.points,
+                of_ends,
+            );
             setup.layout.add_node_values(&of_nodes[k], &mut of_mu[k]);
             for (terms, seed) in nodes.ends.iter().flatten().zip(of_ends) {
                 terms.iter().for_each(|(u, f)| of_mu[k][*u as usize] += f * *seed);

@@ -5,11 +5,7 @@
 
 use moldline_mesh::Vector3;
 
-use crate::{
-    PanelError,
-    elements::Elements,
-    panels::Panels,
-};
+use crate::{PanelError, elements::Elements, panels::Panels};
 
 /// Geometry of the solved panels, in stretched coordinates.
 #[derive(Clone, Debug)]
@@ -41,7 +37,12 @@ pub(crate) fn area_by_corners(of: &Vector3, corners: &[Vector3; 3]) -> [Vector3;
 
 impl Surface {
     /// The surface of points that are not stretched yet.
-    pub fn new(panels: &Panels, elements: &Elements, points: &[Vector3], mach: f64) -> Result<Self, PanelError> {
+    pub fn new(
+        panels: &Panels,
+        elements: &Elements,
+        points: &[Vector3],
+        mach: f64,
+    ) -> Result<Self, PanelError> {
         let beta = (1.0 - mach * mach).sqrt();
         let points: Vec<Vector3> = points.iter().map(|p| Vector3::new(p.x / beta, p.y, p.z)).collect();
         let mut surface = Self {
@@ -54,7 +55,8 @@ impl Surface {
             points,
         };
         let none = |panel: usize, area: f64| PanelError::ZeroArea { cell: panels.cell_of[panel], area };
-        let exists = |area: f64, extent: f64| area.partial_cmp(&(1e-10 * extent)) == Some(std::cmp::Ordering::Greater);
+        let exists =
+            |area: f64, extent: f64| area.partial_cmp(&(1e-10 * extent)) == Some(std::cmp::Ordering::Greater);
         for panel in 0..panels.len() {
             let at = panels.corners[panel].map(|v| surface.points[v as usize]);
             let weights = panels.weights(panel);
@@ -142,7 +144,13 @@ impl SurfaceChange {
     }
 
     /// Adds to the seeds of an element's corners.
-    pub fn add_corners(&mut self, panels: &Panels, elements: &Elements, element: usize, seeds: &[Vector3; 3]) {
+    pub fn add_corners(
+        &mut self,
+        panels: &Panels,
+        elements: &Elements,
+        element: usize,
+        seeds: &[Vector3; 3],
+    ) {
         let element = &elements.list[element];
         let points = element.of_corners(&panels.corners[element.panel as usize]);
         points.iter().zip(seeds).for_each(|(point, seed)| self.points[*point as usize] += seed);

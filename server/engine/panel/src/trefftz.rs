@@ -187,7 +187,8 @@ impl Trace {
                 let d = sub(*b, *a);
                 let by = 1.0 / dot(d, d).sqrt();
                 std::array::from_fn(|k| {
-                    let [begin, end] = piece.circulations.each_ref().map(|terms| value(terms, &circulations[k]));
+                    let [begin, end] =
+                        piece.circulations.each_ref().map(|terms| value(terms, &circulations[k]));
                     by * (end - begin)
                 })
             })
@@ -197,8 +198,7 @@ impl Trace {
     /// Calls back with every pair's integral, times `-1/(4 pi)` and the number of images, and its gradient with respect to the ends of both.
     fn pairs(&self, points: &[Vector3], mut each: impl FnMut(usize, usize, f64, [Plane; 4])) {
         let factor = -self.factor() / (4.0 * std::f64::consts::PI);
-        let ends: Vec<[Plane; 2]> =
-            self.elements(points).iter().map(|(_, ends)| *ends).collect();
+        let ends: Vec<[Plane; 2]> = self.elements(points).iter().map(|(_, ends)| *ends).collect();
         for (i, &[a, b]) in ends.iter().enumerate() {
             let d = sub(b, a);
             let length = dot(d, d).sqrt();
@@ -302,7 +302,9 @@ impl Trace {
                 let of_rise = gamma_seeds[index][k] / length;
                 of_length -= of_rise * gamma[index][k];
                 for (terms, sign) in piece.circulations.iter().zip([-1.0, 1.0]) {
-                    terms.iter().for_each(|(end, f)| circulation_seeds[k][*end as usize] += sign * f * of_rise);
+                    terms
+                        .iter()
+                        .for_each(|(end, f)| circulation_seeds[k][*end as usize] += sign * f * of_rise);
                 }
             }
             for (side, sign) in [-1.0, 1.0].into_iter().enumerate() {
@@ -312,7 +314,6 @@ impl Trace {
             }
         }
     }
-
 }
 
 fn value(terms: &Terms, circulation: &[f64]) -> f64 {
@@ -371,7 +372,8 @@ mod tests {
             let setup = PanelSetup::new(&mesh, Options::default()).unwrap();
             let points = setup.panels.gather(&mesh.vertices);
             let gamma = |p: u32| (1.0 - (points[p as usize].y / 4.0).powi(2)).max(0.0).sqrt();
-            let circulation: Vec<f64> = setup.wakes.strips.iter().flat_map(|s| [s.a, s.b]).map(gamma).collect();
+            let circulation: Vec<f64> =
+                setup.wakes.strips.iter().flat_map(|s| [s.a, s.b]).map(gamma).collect();
             let lift = setup.trace.lift(&points, &circulation);
             let least = 2.0 * lift * lift / (std::f64::consts::PI * 64.0);
             setup.trace.drag(&points, &[circulation])[0][0] / least - 1.0

@@ -125,7 +125,8 @@ fn mean_over(corners: &[Vector3; 3], depth: u32) -> [f64; 2] {
     let size = (b - a).norm().max((c - b).norm()).max((a - c).norm());
     if depth > 0 && size > NEAR * distance(&middle) {
         let [ab, bc, ca] = [(a, b), (b, c), (c, a)].map(|(p, q)| 0.5 * (p + q));
-        let parts = [[*a, ab, ca], [ab, *b, bc], [ca, bc, *c], [ab, bc, ca]].map(|part| mean_over(&part, depth - 1));
+        let parts =
+            [[*a, ab, ca], [ab, *b, bc], [ca, bc, *c], [ab, bc, ca]].map(|part| mean_over(&part, depth - 1));
         return [0, 1].map(|k| 0.25 * parts.iter().map(|part| part[k]).sum::<f64>());
     }
     let mut sum = [0.0; 2];

@@ -46,7 +46,9 @@ impl Lanes {
             .collect();
         let charges = |e: &usize| {
             let corners = &influence.surface.corners[*e];
-            [0, 1, 2].map(|k| circulation(corners, &std::array::from_fn(|j| if j == k { 1.0 } else { 0.0 })).into())
+            [0, 1, 2].map(|k| {
+                circulation(corners, &std::array::from_fn(|j| if j == k { 1.0 } else { 0.0 })).into()
+            })
         };
         Self {
             centroid: [0, 1, 2].map(|k| elements.iter().map(|e| source(e).centroid[k]).collect()),
@@ -70,11 +72,7 @@ pub(super) struct View {
 impl View {
     pub fn new(target: &Target, y: f64) -> Self {
         let (c, s) = (&target.centroid, &target.moments);
-        Self {
-            y,
-            centroid: [c.x, y * c.y, c.z],
-            moments: [s[0], s[1], s[2], y * s[3], y * s[4], s[5]],
-        }
+        Self { y, centroid: [c.x, y * c.y, c.z], moments: [s[0], s[1], s[2], y * s[3], y * s[4], s[5]] }
     }
 
     /// The image of a vortex turns the other way but for its part across the plane.
@@ -93,7 +91,10 @@ impl Influence<'_> {
     ///
     /// # Errors
     /// [`PanelError::Singular`] if an influence is not finite; cancelled.
-    pub fn assemble<const B: usize>(&self, monitor: &dyn Monitor<Stage>) -> Result<(Matrix, [Vec<f64>; B]), PanelError> {
+    pub fn assemble<const B: usize>(
+        &self,
+        monitor: &dyn Monitor<Stage>,
+    ) -> Result<(Matrix, [Vec<f64>; B]), PanelError> {
         let n = self.layout.nodes.rows();
         let mut matrix = Matrix::zeros(n);
         let lanes: Vec<Lanes> = self.layout.patches.iter().map(|patch| Lanes::new(self, patch)).collect();
@@ -131,7 +132,8 @@ impl Influence<'_> {
     /// Targets that are handled together: the elements of a patch, or some points of lines.
     pub(super) fn groups(&self) -> Vec<Vec<usize>> {
         let layout = self.layout;
-        let elements = |patch: &Patch| patch.panels.iter().flat_map(|p| layout.elements.of(*p as usize)).collect();
+        let elements =
+            |patch: &Patch| patch.panels.iter().flat_map(|p| layout.elements.of(*p as usize)).collect();
         let lines: Vec<usize> = (layout.elements.len()..Target::count(self)).collect();
         layout.patches.iter().map(elements).chain(lines.chunks(4 * PATCH).map(<[usize]>::to_vec)).collect()
     }
@@ -207,7 +209,8 @@ impl Influence<'_> {
                 || {
                     let (means, distances) = (&mut means[..count], &mut distances[..count]);
                     for l in 0..count {
-                        let d = [cx[l] - view.centroid[0], cy[l] - view.centroid[1], cz[l] - view.centroid[2]];
+                        let d =
+                            [cx[l] - view.centroid[0], cy[l] - view.centroid[1], cz[l] - view.centroid[2]];
                         let s: Moments = std::array::from_fn(|k| moments[k][l] + view.moments[k]);
                         means[l] = mean(d, &s);
                         distances[l] = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
@@ -245,14 +248,17 @@ impl Influence<'_> {
         let on = if view.y > 0.0 { target.on_side(self, element) } else { None };
         let (probes, count) = target.probes();
         let at = |weights: &[f64; 3]| -> Vector3 { (0..3).map(|k| weights[k] * target.corners[k]).sum() };
-        probes[..count].iter().map(|(at_corners, w)| w * triangle.mean(&view.place(&at(at_corners)), on)).sum()
+        probes[..count]
+            .iter()
+            .map(|(at_corners, w)| w * triangle.mean(&view.place(&at(at_corners)), on))
+            .sum()
     }
 
     /// The mean vector potential at a target, times `4 pi`, for unit circulations at the corners of the wakes.
     fn wake_potential(&self, target: &Target, gamma: &mut [Vector3]) {
         gamma.fill(Vector3::zeros());
         let (probes, count) = target.probes();
-        for (index, sheet) in self.sheets.iter().enumerate() {
+        for (index, sheet) in self.sheets.iter().enumerate().filter(|(_, sheet)| !sheet.triangle.is_empty()) {
             for &y in self.views() {
                 let view = View::new(target, y);
                 let on = if y > 0.0 { target.on_sheet(self, index) } else { None };

@@ -46,11 +46,7 @@ pub(crate) fn mean_with_gradient(d: [f64; 3], s: &Moments) -> (f64, [f64; 3], Mo
     let [x, y, z] = d;
     let by_squared = 1.0 / (x * x + y * y + z * z);
     let by_r = by_squared.sqrt();
-    let sd = [
-        s[0] * x + s[3] * y + s[5] * z,
-        s[3] * x + s[1] * y + s[4] * z,
-        s[5] * x + s[4] * y + s[2] * z,
-    ];
+    let sd = [s[0] * x + s[3] * y + s[5] * z, s[3] * x + s[1] * y + s[4] * z, s[5] * x + s[4] * y + s[2] * z];
     let quadratic = sd[0] * x + sd[1] * y + sd[2] * z;
     let trace = s[0] + s[1] + s[2];
     let cubed = by_r * by_squared;
@@ -58,7 +54,8 @@ pub(crate) fn mean_with_gradient(d: [f64; 3], s: &Moments) -> (f64, [f64; 3], Mo
     // d(1/R) = -d/R^3; d(3 q / (2 R^5)) = 3 S d / R^5 - 15 q d / (2 R^7); d(-tr / (2 R^3)) = 3 tr d / (2 R^5).
     let fifth = cubed * by_squared;
     let along = -cubed - 7.5 * quadratic * fifth * by_squared + 1.5 * trace * fifth;
-    let by_d = [along * x + 3.0 * fifth * sd[0], along * y + 3.0 * fifth * sd[1], along * z + 3.0 * fifth * sd[2]];
+    let by_d =
+        [along * x + 3.0 * fifth * sd[0], along * y + 3.0 * fifth * sd[1], along * z + 3.0 * fifth * sd[2]];
     let (diagonal, mixed) = (1.5 * fifth, 3.0 * fifth);
     let by_s = [
         diagonal * x * x - 0.5 * cubed,
@@ -106,7 +103,8 @@ mod tests {
             s.iter_mut().zip(part).for_each(|(s, p)| *s += p);
         }
         let triangle = Triangle::new(corners);
-        for way in [[0.3, -0.5, 0.8], [1.0, 0.1, 0.0], [-0.2, 0.9, 0.3]].map(|w| Vector3::from(w).normalize()) {
+        for way in [[0.3, -0.5, 0.8], [1.0, 0.1, 0.0], [-0.2, 0.9, 0.3]].map(|w| Vector3::from(w).normalize())
+        {
             let error = [4.0, 8.0].map(|r| {
                 let exact = triangle.mean(&(centroid + r * way), None);
                 mean((r * way).into(), &s) / exact - 1.0

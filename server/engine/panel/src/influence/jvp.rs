@@ -48,7 +48,12 @@ impl PairChange {
                 Vector3::new(change.points[corner.ahead(&surface.points) as usize].x, at.y, at.z)
             })
         };
-        Self { corners, centroids, moments: of_moments, sheets: layout.sheets.triangles.iter().map(sheet).collect() }
+        Self {
+            corners,
+            centroids,
+            moments: of_moments,
+            sheets: layout.sheets.triangles.iter().map(sheet).collect(),
+        }
     }
 
     fn charges(&self, influence: &Influence<'_>, charges: &Charges) -> ChargeChange {
@@ -59,10 +64,7 @@ impl PairChange {
         let sheet = |(corners, sheet): (&[Vector3; 3], &super::records::Sheet)| {
             circulation(corners, &sheet.circulations.map(|g| charges.gamma[g as usize]))
         };
-        ChargeChange {
-            sheets: self.sheets.iter().zip(&influence.sheets).map(sheet).collect(),
-            elements,
-        }
+        ChargeChange { sheets: self.sheets.iter().zip(&influence.sheets).map(sheet).collect(), elements }
     }
 }
 
@@ -88,7 +90,9 @@ impl<const B: usize> Visitor for Sum<'_, B> {
     fn far(&mut self, view: &View, element: usize, mean: f64, by_way: &Vector3, by_moments: &Moments) {
         let charges = self.charges;
         self.add(view, mean, |k| charges[k].elements[element]);
-        for ((moved, (change, d_charges)), out) in self.moved.iter().zip(self.changes).zip(&mut self.d_potential) {
+        for ((moved, (change, d_charges)), out) in
+            self.moved.iter().zip(self.changes).zip(&mut self.d_potential)
+        {
             let (_, centroid, of_moments) = moved;
             let s = of_moments;
             let seen = [s[0], s[1], s[2], view.y * s[3], view.y * s[4], s[5]];
@@ -106,11 +110,14 @@ impl<const B: usize> Visitor for Sum<'_, B> {
     fn near(&mut self, view: &View, element: usize, near: &Near, by_way: &Vector3) {
         let charges = self.charges;
         self.add(view, near.mean, |k| charges[k].elements[element]);
-        for ((moved, (change, d_charges)), out) in self.moved.iter().zip(self.changes).zip(&mut self.d_potential) {
+        for ((moved, (change, d_charges)), out) in
+            self.moved.iter().zip(self.changes).zip(&mut self.d_potential)
+        {
             let (corners, centroid, _) = moved;
             let mut d_mean = by_way.dot(&(change.centroids[element] - view.place(centroid)));
             for k in 0..3 {
-                d_mean += near.by_target[k].dot(&corners[k]) + near.by_source[k].dot(&change.corners[element][k]);
+                d_mean +=
+                    near.by_target[k].dot(&corners[k]) + near.by_source[k].dot(&change.corners[element][k]);
             }
             for k in 0..B {
                 let d = d_mean * charges[k].elements[element] + near.mean * d_charges[k].elements[element];
@@ -122,10 +129,13 @@ impl<const B: usize> Visitor for Sum<'_, B> {
     fn sheet(&mut self, view: &View, sheet: usize, near: &Near) {
         let charges = self.charges;
         self.add(view, near.mean, |k| charges[k].sheets[sheet]);
-        for ((moved, (change, d_charges)), out) in self.moved.iter().zip(self.changes).zip(&mut self.d_potential) {
+        for ((moved, (change, d_charges)), out) in
+            self.moved.iter().zip(self.changes).zip(&mut self.d_potential)
+        {
             let mut d_mean = 0.0;
             for k in 0..3 {
-                d_mean += near.by_target[k].dot(&moved.0[k]) + near.by_source[k].dot(&change.sheets[sheet][k]);
+                d_mean +=
+                    near.by_target[k].dot(&moved.0[k]) + near.by_source[k].dot(&change.sheets[sheet][k]);
             }
             for k in 0..B {
                 let d = d_mean * charges[k].sheets[sheet] + near.mean * d_charges[k].sheets[sheet];
@@ -160,13 +170,17 @@ impl Influence<'_> {
                 if progress.cancelled() {
                     return Vec::new();
                 }
-                let rows = group.iter().flat_map(|target| self.target_jvp(*target, charges, changes, &moved)).collect();
+                let rows = group
+                    .iter()
+                    .flat_map(|target| self.target_jvp(*target, charges, changes, &moved))
+                    .collect();
                 progress.step();
                 rows
             })
             .collect();
         progress.finish()?;
-        let mut out: Vec<[Vec<f64>; B]> = changes.iter().map(|_| std::array::from_fn(|_| vec![0.0; n])).collect();
+        let mut out: Vec<[Vec<f64>; B]> =
+            changes.iter().map(|_| std::array::from_fn(|_| vec![0.0; n])).collect();
         for (row, values) in parts.iter().flatten() {
             for (out, value) in out.iter_mut().zip(values) {
                 (0..B).for_each(|k| out[k][*row as usize] += value[k]);
@@ -187,7 +201,8 @@ impl Influence<'_> {
         moved: &[(PairChange, [ChargeChange; B])],
     ) -> Vec<(u32, Vec<[f64; B]>)> {
         let target = Target::new(self, index);
-        let corners: Vec<[Vector3; 3]> = changes.iter().map(|change| target.corners_jvp(self, change)).collect();
+        let corners: Vec<[Vector3; 3]> =
+            changes.iter().map(|change| target.corners_jvp(self, change)).collect();
         let of_target = |corners: &[Vector3; 3]| {
             let (centroid, moments) = target.afar_jvp(corners);
             (*corners, centroid, moments)
@@ -204,7 +219,9 @@ impl Influence<'_> {
         let row = |(place, (row, charge)): (usize, &(u32, Vector3))| {
             let value = |direction: usize| {
                 let d_charge = &d_rows[direction][place].1;
-                std::array::from_fn(|k| charge.dot(&sum.d_potential[direction][k]) + d_charge.dot(&sum.potential[k]))
+                std::array::from_fn(|k| {
+                    charge.dot(&sum.d_potential[direction][k]) + d_charge.dot(&sum.potential[k])
+                })
             };
             (*row, (0..changes.len()).map(value).collect())
         };
@@ -219,7 +236,8 @@ impl Influence<'_> {
             let corners = &self.surface.corners[element];
             let d = change.corners(self.panels, elements, element);
             let d_area = 0.5
-                * ((d[1] - d[0]).cross(&(corners[2] - corners[0])) + (corners[1] - corners[0]).cross(&(d[2] - d[0])));
+                * ((d[1] - d[0]).cross(&(corners[2] - corners[0]))
+                    + (corners[1] - corners[0]).cross(&(d[2] - d[0])));
             for (k, out) in out.iter_mut().enumerate() {
                 let onset = self.surface.onset(axes[k]);
                 let d_onset = change.beta * self.surface.onset_by_beta(axes[k]);

@@ -47,6 +47,11 @@ impl Triangle {
         Self { corners, along, lengths, normal, outwards, double_area }
     }
 
+    /// Whether it has no area: two corners in one place, as at the beginning of a wake beside a body.
+    pub fn is_empty(&self) -> bool {
+        self.double_area <= 1e-12 * (self.lengths[0] * self.lengths[0] + self.lengths[1] * self.lengths[1])
+    }
+
     /// The edge opposite to a corner, as the triangle runs through it.
     fn opposite(&self, k: usize) -> Vector3 {
         self.corners[(k + 2) % 3] - self.corners[(k + 1) % 3]
@@ -80,8 +85,10 @@ impl Triangle {
     fn angle(&self, ways: &[Vector3; 3], radii: &[f64; 3]) -> f64 {
         let volume = self.normal.dot(&ways[0]) * self.double_area;
         let [ra, rb, rc] = *radii;
-        let denominator =
-            ra * rb * rc + ways[0].dot(&ways[1]) * rc + ways[0].dot(&ways[2]) * rb + ways[1].dot(&ways[2]) * ra;
+        let denominator = ra * rb * rc
+            + ways[0].dot(&ways[1]) * rc
+            + ways[0].dot(&ways[2]) * rb
+            + ways[1].dot(&ways[2]) * ra;
         2.0 * volume.atan2(denominator)
     }
 
@@ -110,7 +117,8 @@ impl Triangle {
             // dQ = (s dL - L ds) / (r_a r_b + r_a.r_b), and the solid angle's part of this edge.
             let volume = ways[k].cross(&ways[j]) * (height * inverse);
             let factor = distance * inverse;
-            gradient[k] += q * self.outwards[k] - turn - factor * (s * e + length / radii[k] * ways[k]) + volume / radii[k];
+            gradient[k] += q * self.outwards[k] - turn - factor * (s * e + length / radii[k] * ways[k])
+                + volume / radii[k];
             gradient[j] += turn + factor * (s * e - length / radii[j] * ways[j]) + volume / radii[j];
         }
         if on.is_none() {
@@ -125,8 +133,8 @@ impl Triangle {
         for k in 0..3 {
             let opposite = self.opposite(k);
             // The area grows by half n x (opposite edge).
-            gradient[k] = by * (gradient[k] + of_area.cross(&opposite))
-                - mean / self.double_area * n.cross(&opposite);
+            gradient[k] =
+                by * (gradient[k] + of_area.cross(&opposite)) - mean / self.double_area * n.cross(&opposite);
         }
         (mean, gradient)
     }
@@ -201,7 +209,10 @@ mod tests {
         if on.is_none() {
             let volume = dot(&ways[0], &cross(&ways[1], &ways[2]));
             let [ra, rb, rc] = radii;
-            let denominator = ra * rb * rc + dot(&ways[0], &ways[1]) * rc + dot(&ways[0], &ways[2]) * rb + dot(&ways[1], &ways[2]) * ra;
+            let denominator = ra * rb * rc
+                + dot(&ways[0], &ways[1]) * rc
+                + dot(&ways[0], &ways[2]) * rb
+                + dot(&ways[1], &ways[2]) * ra;
             sum -= dot(&n, &ways[0]) * volume.atan2(denominator) * 2.0;
         }
         sum * 2.0 / double_area
@@ -240,7 +251,11 @@ mod tests {
                 assert!((mean - expected.re).abs() <= tolerance * mean, "{case}: {mean} {}", expected.re);
                 let found = gradient[k][axis];
                 let size = gradient.iter().map(|g| g.norm()).sum::<f64>();
-                assert!((found - expected.eps).abs() <= 10.0 * tolerance * size, "{case}: {found} {}", expected.eps);
+                assert!(
+                    (found - expected.eps).abs() <= 10.0 * tolerance * size,
+                    "{case}: {found} {}",
+                    expected.eps
+                );
             }
         }
         // On an edge, moving with it.
@@ -252,7 +267,9 @@ mod tests {
             let by_point: Vector3 = -gradient.iter().sum::<Vector3>();
             for (k, axis) in (0..3).flat_map(|k| (0..3).map(move |axis| (k, axis))) {
                 let seeded: [D; 3] = std::array::from_fn(|j| dual(&corners[j], (j == k).then_some(axis)));
-                let on: D = std::array::from_fn(|c| (0..3).map(|j| seeded[j][c] * t[j]).fold(Dual64::from_re(0.0), |s, x| s + x));
+                let on: D = std::array::from_fn(|c| {
+                    (0..3).map(|j| seeded[j][c] * t[j]).fold(Dual64::from_re(0.0), |s, x| s + x)
+                });
                 let expected = textbook(&seeded, &on, Some(edge));
                 let found = gradient[k][axis] + t[k] * by_point[axis];
                 assert!((found - expected.eps).abs() <= 1e-12 * mean, "{edge}: {found} {}", expected.eps);
@@ -274,7 +291,8 @@ mod tests {
                 for i in 0..n {
                     for j in 0..n - i {
                         let mut add = |s: f64, t: f64| {
-                            let x = corners[0] + (corners[1] - corners[0]) * s + (corners[2] - corners[0]) * t;
+                            let x =
+                                corners[0] + (corners[1] - corners[0]) * s + (corners[2] - corners[0]) * t;
                             sum += triangle.mean(&x, None);
                         };
                         let (u, v, by) = (i as f64, j as f64, 1.0 / n as f64);
@@ -290,7 +308,11 @@ mod tests {
             let limit = fine + (fine - coarse) / 3.0;
             assert!((value / limit - 1.0).abs() < 2e-4, "{value} {limit}");
             let direction: [Vector3; 3] = std::array::from_fn(|_| random.vector(1.0));
-            let at = |step: f64| Triangle::new(std::array::from_fn(|k| corners[k] + step * direction[k])).own_mean_with_gradient().0;
+            let at = |step: f64| {
+                Triangle::new(std::array::from_fn(|k| corners[k] + step * direction[k]))
+                    .own_mean_with_gradient()
+                    .0
+            };
             let expected = (at(1e-5) - at(-1e-5)) / 2e-5;
             let found: f64 = (0..3).map(|k| gradient[k].dot(&direction[k])).sum();
             assert!((found - expected).abs() < 1e-7 * found.abs().max(1.0), "{found} {expected}");

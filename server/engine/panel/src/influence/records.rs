@@ -53,10 +53,11 @@ impl Layout {
             let element = &elements.list[element];
             reach(&element.of_corners(&at(element.panel as usize)))
         };
-        let (low, high) = points.iter().fold(
-            (Vector3::repeat(f64::INFINITY), Vector3::repeat(f64::NEG_INFINITY)),
-            |(low, high), p| (low.inf(p), high.sup(p)),
-        );
+        let (low, high) = points
+            .iter()
+            .fold((Vector3::repeat(f64::INFINITY), Vector3::repeat(f64::NEG_INFINITY)), |(low, high), p| {
+                (low.inf(p), high.sup(p))
+            });
         let centres: Vec<Vector3> = (0..panels.len()).map(|p| at(p).iter().sum::<Vector3>() / 4.0).collect();
         Self {
             smooth: Smooth::new(panels, wakes, points),
@@ -113,7 +114,8 @@ fn lines(panels: &Panels, wakes: &Wakes, nodes: &Nodes) -> Vec<Line> {
     }
     let differs = |line: &Line| {
         [line.from, line.to].iter().any(|point| {
-            let [up, low] = [line.upper, line.lower].map(|panel| nodes.row[nodes.at(panels, panel, *point) as usize]);
+            let [up, low] =
+                [line.upper, line.lower].map(|panel| nodes.row[nodes.at(panels, panel, *point) as usize]);
             up != low
         })
     };
@@ -230,7 +232,11 @@ pub(super) fn plane_figure(corners: &[Vector3; 3]) -> (Vector3, Moments) {
 }
 
 /// The change of [`plane_figure`] with the corners.
-pub(super) fn plane_figure_jvp(corners: &[Vector3; 3], centroid: &Vector3, change: &[Vector3; 3]) -> (Vector3, Moments) {
+pub(super) fn plane_figure_jvp(
+    corners: &[Vector3; 3],
+    centroid: &Vector3,
+    change: &[Vector3; 3],
+) -> (Vector3, Moments) {
     let mut sum = [0.0; 6];
     for (corner, d) in corners.iter().zip(change) {
         let x = corner - centroid;

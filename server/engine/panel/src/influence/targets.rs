@@ -7,10 +7,7 @@ use super::{
     far::Moments,
     records::{Influence, Line, plane_figure, plane_figure_jvp, plane_figure_vjp},
 };
-use crate::{
-    elements::circulation_by_corners,
-    surface::SurfaceChange,
-};
+use crate::{elements::circulation_by_corners, surface::SurfaceChange};
 
 /// Points of an element over which the potential of near ones is averaged, as weights of its corners, and their weights: exact for polynomials of the
 /// fourth degree (Strang and Fix).
@@ -70,7 +67,9 @@ impl Target {
         let (centroid, moments) = plane_figure(&corners);
         let record = &layout.elements.list[element];
         let nodes = record.of_corners(&layout.nodes.of_corner[record.panel as usize]);
-        let row = |k: usize| (layout.nodes.row[nodes[k] as usize], -0.5 * (corners[(k + 2) % 3] - corners[(k + 1) % 3]));
+        let row = |k: usize| {
+            (layout.nodes.row[nodes[k] as usize], -0.5 * (corners[(k + 2) % 3] - corners[(k + 1) % 3]))
+        };
         let rows = [0, 1, 2].map(row).to_vec();
         let reach = layout.reach[element];
         Self { carrier: Carrier::Element(element), corners, centroid, moments, reach, rows }
@@ -88,7 +87,10 @@ impl Target {
             centroid: hat[0] * from + hat[1] * to,
             moments: [0.0; 6],
             reach: 0.0,
-            rows: line_rows(influence, line).iter().map(|&(row, sign, end)| (row, sign * hat[end] * along)).collect(),
+            rows: line_rows(influence, line)
+                .iter()
+                .map(|&(row, sign, end)| (row, sign * hat[end] * along))
+                .collect(),
         }
     }
 
@@ -144,7 +146,12 @@ impl Target {
     }
 
     /// The gradient of `of.circulation(unknowns)` with respect to the corners.
-    pub fn circulation_by_corners(&self, influence: &Influence<'_>, unknowns: &[f64], of: &Vector3) -> [Vector3; 3] {
+    pub fn circulation_by_corners(
+        &self,
+        influence: &Influence<'_>,
+        unknowns: &[f64],
+        of: &Vector3,
+    ) -> [Vector3; 3] {
         match self.carrier {
             Carrier::Element(_) => {
                 let values = [0, 1, 2].map(|k| unknowns[self.rows[k].0 as usize]);
@@ -164,7 +171,7 @@ impl Target {
     }
 
     /// Seeds of the corners from those of centroid and moments.
-    pub fn from_afar(&self, by_centroid: &Vector3, by_moments: &Moments) -> [Vector3; 3] {
+    pub fn afar_vjp(&self, by_centroid: &Vector3, by_moments: &Moments) -> [Vector3; 3] {
         match self.carrier {
             Carrier::Element(_) => plane_figure_vjp(&self.corners, &self.centroid, (by_centroid, by_moments)),
             Carrier::Line(_, point) => {
@@ -188,7 +195,9 @@ impl Target {
     /// The changes of the corners with those of the points.
     pub fn corners_jvp(&self, influence: &Influence<'_>, change: &SurfaceChange) -> [Vector3; 3] {
         match self.carrier {
-            Carrier::Element(element) => change.corners(influence.panels, &influence.layout.elements, element),
+            Carrier::Element(element) => {
+                change.corners(influence.panels, &influence.layout.elements, element)
+            }
             Carrier::Line(index, _) => {
                 let line = &influence.layout.lines[index];
                 [change.points[line.from as usize], change.points[line.to as usize], Vector3::zeros()]
@@ -247,7 +256,9 @@ mod tests {
     #[test]
     fn probes_are_exact_to_the_fourth_degree() {
         let factorial = |n: i32| (1..=n).map(f64::from).product::<f64>();
-        for (i, j, k) in (0..=4).flat_map(|i| (0..=4 - i).flat_map(move |j| (0..=4 - i - j).map(move |k| (i, j, k)))) {
+        for (i, j, k) in
+            (0..=4).flat_map(|i| (0..=4 - i).flat_map(move |j| (0..=4 - i - j).map(move |k| (i, j, k))))
+        {
             let mean: f64 = PROBES.iter().map(|(p, w)| w * p[0].powi(i) * p[1].powi(j) * p[2].powi(k)).sum();
             let exact = 2.0 * factorial(i) * factorial(j) * factorial(k) / factorial(i + j + k + 2);
             assert!((mean - exact).abs() < 1e-14, "{i} {j} {k}: {mean} {exact}");

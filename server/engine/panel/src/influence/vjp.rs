@@ -41,7 +41,8 @@ struct Gathered<const B: usize> {
 
 impl<const B: usize> Gathered<B> {
     fn new(influence: &Influence<'_>) -> Self {
-        let none = SourceSeeds { centroid: Vector3::zeros(), moments: [0.0; 6], charges: [Vector3::zeros(); B] };
+        let none =
+            SourceSeeds { centroid: Vector3::zeros(), moments: [0.0; 6], charges: [Vector3::zeros(); B] };
         Self { change: SurfaceChange::zeros(influence.surface), sources: vec![none; influence.sources.len()] }
     }
 
@@ -69,7 +70,11 @@ struct Sum<'a, const B: usize> {
 }
 
 /// `sum_k test_k . charge_k` as the view turns it, and the turned tests.
-fn product<const B: usize>(view: &View, tests: &[Vector3; B], charge: impl Fn(usize) -> Vector3) -> (f64, [Vector3; B]) {
+fn product<const B: usize>(
+    view: &View,
+    tests: &[Vector3; B],
+    charge: impl Fn(usize) -> Vector3,
+) -> (f64, [Vector3; B]) {
     let turned: [Vector3; B] = std::array::from_fn(|k| view.turned(&tests[k]));
     ((0..B).map(|k| turned[k].dot(&charge(k))).sum(), turned)
 }
@@ -82,7 +87,8 @@ impl<const B: usize> Visitor for Sum<'_, B> {
         }
         let m = by_moments;
         let seen = [m[0], m[1], m[2], view.y * m[3], view.y * m[4], m[5]];
-        for ((tests, gathered), moved) in self.tests.iter().zip(self.gathered.iter_mut()).zip(&mut self.moved) {
+        for ((tests, gathered), moved) in self.tests.iter().zip(self.gathered.iter_mut()).zip(&mut self.moved)
+        {
             let (weight, turned) = product(view, tests, |k| charges[k].elements[element]);
             let of_source = &mut gathered.sources[element];
             of_source.centroid += weight * by_way;
@@ -101,8 +107,10 @@ impl<const B: usize> Visitor for Sum<'_, B> {
         for k in 0..B {
             self.potential[k] += near.mean * view.turned(&charges[k].elements[element]);
         }
-        let values: [[f64; 3]; B] = std::array::from_fn(|k| layout.element_values(element, &charges[k].nodes));
-        for ((tests, gathered), moved) in self.tests.iter().zip(self.gathered.iter_mut()).zip(&mut self.moved) {
+        let values: [[f64; 3]; B] =
+            std::array::from_fn(|k| layout.element_values(element, &charges[k].nodes));
+        for ((tests, gathered), moved) in self.tests.iter().zip(self.gathered.iter_mut()).zip(&mut self.moved)
+        {
             let (weight, turned) = product(view, tests, |k| charges[k].elements[element]);
             gathered.sources[element].centroid += weight * by_way;
             moved.1 -= weight * view.place(by_way);
@@ -123,8 +131,10 @@ impl<const B: usize> Visitor for Sum<'_, B> {
             self.potential[k] += near.mean * view.turned(&charges[k].sheets[sheet]);
         }
         let circulations = self.influence.sheets[sheet].circulations;
-        let values: [[f64; 3]; B] = std::array::from_fn(|k| circulations.map(|g| charges[k].gamma[g as usize]));
-        for ((tests, gathered), moved) in self.tests.iter().zip(self.gathered.iter_mut()).zip(&mut self.moved) {
+        let values: [[f64; 3]; B] =
+            std::array::from_fn(|k| circulations.map(|g| charges[k].gamma[g as usize]));
+        for ((tests, gathered), moved) in self.tests.iter().zip(self.gathered.iter_mut()).zip(&mut self.moved)
+        {
             let (weight, turned) = product(view, tests, |k| charges[k].sheets[sheet]);
             let mut seeds = near.by_source.map(|g| weight * g);
             for k in 0..B {
@@ -159,7 +169,9 @@ impl Influence<'_> {
                 .map(|group| {
                     let mut gathered: Vec<Gathered<B>> = seeds.iter().map(|_| Gathered::new(self)).collect();
                     if !progress.cancelled() {
-                        group.iter().for_each(|target| self.target_vjp(*target, charges, seeds, &mut gathered));
+                        group
+                            .iter()
+                            .for_each(|target| self.target_vjp(*target, charges, seeds, &mut gathered));
                         progress.step();
                     }
                     gathered
@@ -212,8 +224,10 @@ impl Influence<'_> {
         };
         self.walk(&target, &mut sum);
         let Sum { moved, potential, gathered, .. } = sum;
-        for (((mut corners, centroid, moments), gathered), seeds) in moved.into_iter().zip(gathered).zip(seeds) {
-            let afar = target.from_afar(&centroid, &moments);
+        for (((mut corners, centroid, moments), gathered), seeds) in
+            moved.into_iter().zip(gathered).zip(seeds)
+        {
+            let afar = target.afar_vjp(&centroid, &moments);
             (0..3).for_each(|i| corners[i] += afar[i]);
             for k in 0..B {
                 let by = target.circulation_by_corners(self, &seeds[k], &potential[k]);

@@ -68,7 +68,9 @@ impl Influence<'_> {
                 let by_way = -near.mean * slope;
                 visitor.near(&view, element, &near.scaled(1.0 - far), &by_way);
             }
-            for (index, sheet) in self.sheets.iter().enumerate() {
+            for (index, sheet) in
+                self.sheets.iter().enumerate().filter(|(_, sheet)| !sheet.triangle.is_empty())
+            {
                 let on = if y > 0.0 { target.on_sheet(self, index) } else { None };
                 visitor.sheet(&view, index, &near(target, &view, &sheet.triangle, on));
             }

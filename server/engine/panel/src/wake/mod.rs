@@ -76,7 +76,8 @@ impl Wakes {
         }
         let share = 1.0 / arriving.len() as f64;
         let own = 2 * index + side;
-        let term = |(other, sign): (usize, f64)| (other as u32, f64::from(u8::from(other == own)) - sign * share);
+        let term =
+            |(other, sign): (usize, f64)| (other as u32, f64::from(u8::from(other == own)) - sign * share);
         arriving.into_iter().map(term).filter(|(_, factor)| *factor != 0.0).collect()
     }
 }

@@ -72,11 +72,8 @@ impl Sheets {
             let along: Vec<u32> =
                 nodes.along[index][side].clone().into_iter().map(|gamma| sheets.circulation(gamma)).collect();
             // The sheet begins with the whole trailing edge, also if that runs upstream from the body on.
-            let beside = |step: usize| Corner {
-                x: if step == 0 { outer } else { path[step] },
-                yz: outer,
-                far: false,
-            };
+            let beside =
+                |step: usize| Corner { x: if step == 0 { outer } else { path[step] }, yz: outer, far: false };
             for step in 0..path.len() {
                 let inner = (Corner::of(path[step]), along[step]);
                 let out = (beside(step), of_outer);

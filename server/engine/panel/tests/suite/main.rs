@@ -6,4 +6,3 @@ mod derivatives;
 mod flow;
 mod refusals;
 mod solvers;
-mod trial;
