@@ -155,7 +155,8 @@ fn analysis(mesh: &SurfaceMesh, alpha_degrees: f64) -> Analysis {
 /// degrees) and such with 35 and 60 degrees of sweep.
 #[test]
 fn wings_in_triangles() {
-    let sweeps: [(fn(f64) -> f64, Option<f64>); 3] = [
+    type Sweep = (fn(f64) -> f64, Option<f64>);
+    let sweeps: [Sweep; 3] = [
         (|_| 0.0, Some(0.4315)),
         (|eta| 4.0 * 35_f64.to_radians().tan() * eta.abs(), None),
         (|eta| 4.0 * 60_f64.to_radians().tan() * eta.abs(), None),
