@@ -72,6 +72,7 @@ mod elements;
 mod error;
 mod flow;
 mod influence;
+mod lanes;
 mod linear_system;
 mod linearisation;
 mod nodes;

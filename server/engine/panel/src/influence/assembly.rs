@@ -7,12 +7,13 @@ use rayon::prelude::*;
 use super::{
     far::{FAR_SQUARED, Moments, mean, share},
     records::Influence,
-    targets::{Carrier, Target},
+    targets::{Carrier, Probes, Target},
 };
 use crate::{
     Monitor, PanelError, Stage,
     clusters::{PATCH, Patch},
     elements::{Element, circulation},
+    lanes::Lane,
     linear_system::Matrix,
     progress::Progress,
     surface::area,
@@ -84,6 +85,11 @@ impl View {
     pub fn place(&self, x: &Vector3) -> Vector3 {
         Vector3::new(x.x, self.y * x.y, x.z)
     }
+}
+
+/// The mean over probes.
+fn mean_over(probes: &Probes, means: &Lane) -> f64 {
+    means.iter().zip(&probes.weights).map(|(mean, weight)| mean * weight).sum()
 }
 
 impl Influence<'_> {
@@ -246,27 +252,22 @@ impl Influence<'_> {
             return triangle.own_mean_with_gradient().0;
         }
         let on = if view.y > 0.0 { target.on_side(self, element) } else { None };
-        let (probes, count) = target.probes();
-        let at = |weights: &[f64; 3]| -> Vector3 { (0..3).map(|k| weights[k] * target.corners[k]).sum() };
-        probes[..count]
-            .iter()
-            .map(|(at_corners, w)| w * triangle.mean(&view.place(&at(at_corners)), on))
-            .sum()
+        let probes = target.probes();
+        mean_over(&probes, &triangle.means(&target.places(&probes, view), on))
     }
 
     /// The mean vector potential at a target, times `4 pi`, for unit circulations at the corners of the wakes.
     fn wake_potential(&self, target: &Target, gamma: &mut [Vector3]) {
         gamma.fill(Vector3::zeros());
-        let (probes, count) = target.probes();
-        for (index, sheet) in self.sheets.iter().enumerate().filter(|(_, sheet)| !sheet.triangle.is_empty()) {
-            for &y in self.views() {
-                let view = View::new(target, y);
+        let probes = target.probes();
+        for &y in self.views() {
+            let view = View::new(target, y);
+            let places = target.places(&probes, &view);
+            for (index, sheet) in
+                self.sheets.iter().enumerate().filter(|(_, sheet)| !sheet.triangle.is_empty())
+            {
                 let on = if y > 0.0 { target.on_sheet(self, index) } else { None };
-                let mut mean = 0.0;
-                for (weights, weight) in &probes[..count] {
-                    let x = (0..3).map(|k| weights[k] * target.corners[k]).sum();
-                    mean += weight * sheet.triangle.mean(&view.place(&x), on);
-                }
+                let mean = mean_over(&probes, &sheet.triangle.means(&places, on));
                 for k in 0..3 {
                     let unit: [f64; 3] = std::array::from_fn(|j| if j == k { 1.0 } else { 0.0 });
                     let charge = view.turned(&circulation(&sheet.triangle.corners, &unit));

@@ -9,7 +9,10 @@
 //!
 //! with the solid angle Omega of van Oosterom and Strackee (IEEE Trans. Biomed. Eng. 30, 1983).
 
+use moldline_foundation::simd::widest;
 use moldline_mesh::Vector3;
+
+use crate::lanes::{LANES, Lane, argument, log_ratio};
 
 /// A triangle and what of it does not depend on the point.
 #[derive(Clone, Copy, Debug)]
@@ -24,15 +27,23 @@ pub(crate) struct Triangle {
     double_area: f64,
 }
 
-/// An edge as seen from a point.
-#[derive(Clone, Copy)]
-struct Edge {
-    /// Q.
-    logarithm: f64,
-    /// `1 / (r_a r_b + r_a.r_b)`.
-    inverse: f64,
-    /// `r_a + r_b`.
-    sum: f64,
+/// Points, by axis.
+pub(crate) type Points = [Lane; 3];
+
+/// Ways from points to the corners of a triangle, and their lengths.
+struct Seen {
+    ways: [[Lane; 3]; 3],
+    radii: [Lane; 3],
+}
+
+#[inline(always)]
+fn dot(p: &[f64; 3], q: &[f64; 3]) -> f64 {
+    p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
+}
+
+#[inline(always)]
+fn cross(p: &[f64; 3], q: &[f64; 3]) -> [f64; 3] {
+    [p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]]
 }
 
 impl Triangle {
@@ -57,86 +68,161 @@ impl Triangle {
         self.corners[(k + 2) % 3] - self.corners[(k + 1) % 3]
     }
 
-    /// The mean inverse distance, 1/m. `on` is the edge on which the point lies, if it lies on one: of that edge and the height nothing counts.
-    pub fn mean(&self, x: &Vector3, on: Option<usize>) -> f64 {
-        let ways = self.corners.map(|a| a - x);
-        let radii = ways.map(|r| r.norm());
-        let mut sum = 0.0;
-        for k in 0..3 {
-            if on != Some(k) {
-                sum += self.edge(k, &ways, &radii).logarithm * self.outwards[k].dot(&ways[k]);
-            }
-        }
-        if on.is_none() {
-            sum -= self.normal.dot(&ways[0]) * self.angle(&ways, &radii);
-        }
-        2.0 * sum / self.double_area
+    /// The mean inverse distances, 1/m, of several points x. `on` is the edge on which the points lie, if they lie on one: of that edge and the height
+    /// nothing counts.
+    pub fn means(&self, x: &Points, on: Option<usize>) -> Lane {
+        let mut out = [0.0; LANES];
+        widest(
+            #[inline(always)]
+            || out = self.means_inline(x, on),
+        );
+        out
     }
 
-    fn edge(&self, k: usize, ways: &[Vector3; 3], radii: &[f64; 3]) -> Edge {
-        let j = (k + 1) % 3;
-        let (sum, length) = (radii[k] + radii[j], self.lengths[k]);
-        let product = radii[k] * radii[j] + ways[k].dot(&ways[j]);
-        // (s + L) (s - L) = 2 (r_a r_b + r_a.r_b) loses fewer digits near the edge.
-        let ratio = (sum + length) * (sum + length) / (2.0 * product);
-        Edge { logarithm: ratio.ln(), inverse: 1.0 / product, sum }
-    }
-
-    fn angle(&self, ways: &[Vector3; 3], radii: &[f64; 3]) -> f64 {
-        let volume = self.normal.dot(&ways[0]) * self.double_area;
-        let [ra, rb, rc] = *radii;
-        let denominator = ra * rb * rc
-            + ways[0].dot(&ways[1]) * rc
-            + ways[0].dot(&ways[2]) * rb
-            + ways[1].dot(&ways[2]) * ra;
-        2.0 * volume.atan2(denominator)
-    }
-
-    /// [`mean`](Self::mean), and its gradient with respect to the corners; that with respect to the point is minus their sum.
-    pub fn mean_with_gradient(&self, x: &Vector3, on: Option<usize>) -> (f64, [Vector3; 3]) {
-        let ways = self.corners.map(|a| a - x);
-        let radii = ways.map(|r| r.norm());
-        let n = &self.normal;
-        let mut sum = 0.0;
-        let mut gradient = [Vector3::zeros(); 3];
-        let mut of_normal = Vector3::zeros();
-        let height = if on.is_none() { n.dot(&ways[0]) } else { 0.0 };
+    #[inline(always)]
+    fn means_inline(&self, x: &Points, on: Option<usize>) -> Lane {
+        let Seen { ways, radii } = self.seen(x);
+        let mut sums = [0.0; LANES];
         for k in 0..3 {
             if on == Some(k) {
                 continue;
             }
             let j = (k + 1) % 3;
-            let Edge { logarithm: q, inverse, sum: s } = self.edge(k, &ways, &radii);
-            let (e, length) = (&self.along[k], self.lengths[k]);
-            let distance = self.outwards[k].dot(&ways[k]);
-            sum += q * distance;
-            of_normal += q * ways[k].cross(e);
-            // The edge turns.
-            let of_edge = q * n.cross(&ways[k]);
-            let turn = (of_edge - e * e.dot(&of_edge)) / length;
-            // dQ = (s dL - L ds) / (r_a r_b + r_a.r_b), and the solid angle's part of this edge.
-            let volume = ways[k].cross(&ways[j]) * (height * inverse);
-            let factor = distance * inverse;
-            gradient[k] += q * self.outwards[k] - turn - factor * (s * e + length / radii[k] * ways[k])
-                + volume / radii[k];
-            gradient[j] += turn + factor * (s * e - length / radii[j] * ways[j]) + volume / radii[j];
+            let m = &self.outwards[k];
+            for l in 0..LANES {
+                let logarithm = log_ratio(radii[k][l] + radii[j][l], self.lengths[k]);
+                sums[l] += logarithm * (m.x * ways[k][0][l] + m.y * ways[k][1][l] + m.z * ways[k][2][l]);
+            }
         }
         if on.is_none() {
-            let angle = self.angle(&ways, &radii);
-            sum -= height * angle;
-            of_normal -= angle * ways[0];
-            gradient[0] -= angle * n;
+            let angles = self.angles(&ways, &radii);
+            for l in 0..LANES {
+                sums[l] -= self.height(&ways, l) * angles[l];
+            }
+        }
+        sums.map(|sum| 2.0 * sum / self.double_area)
+    }
+
+    #[inline(always)]
+    fn seen(&self, x: &Points) -> Seen {
+        let mut seen = Seen { ways: [[[0.0; LANES]; 3]; 3], radii: [[0.0; LANES]; 3] };
+        for k in 0..3 {
+            for l in 0..LANES {
+                let way = [0, 1, 2].map(|axis: usize| self.corners[k][axis] - x[axis][l]);
+                (0..3).for_each(|axis| seen.ways[k][axis][l] = way[axis]);
+                seen.radii[k][l] = (way[0] * way[0] + way[1] * way[1] + way[2] * way[2]).sqrt();
+            }
+        }
+        seen
+    }
+
+    #[inline(always)]
+    fn height(&self, ways: &[[Lane; 3]; 3], l: usize) -> f64 {
+        let n = &self.normal;
+        n.x * ways[0][0][l] + n.y * ways[0][1][l] + n.z * ways[0][2][l]
+    }
+
+    #[inline(always)]
+    fn angles(&self, ways: &[[Lane; 3]; 3], radii: &[Lane; 3]) -> Lane {
+        let dot = |i: usize, j: usize, l: usize| {
+            ways[i][0][l] * ways[j][0][l] + ways[i][1][l] * ways[j][1][l] + ways[i][2][l] * ways[j][2][l]
+        };
+        let mut angles = [0.0; LANES];
+        for l in 0..LANES {
+            let [ra, rb, rc] = [radii[0][l], radii[1][l], radii[2][l]];
+            let volume = self.height(ways, l) * self.double_area;
+            let denominator = ra * rb * rc + dot(0, 1, l) * rc + dot(0, 2, l) * rb + dot(1, 2, l) * ra;
+            angles[l] = 2.0 * argument(volume, denominator);
+        }
+        angles
+    }
+
+    /// [`means`](Self::means), and their gradients with respect to the corners; that with respect to the point is minus their sum.
+    pub fn means_with_gradients(&self, x: &Points, on: Option<usize>) -> (Lane, [[Lane; 3]; 3]) {
+        let mut out = ([0.0; LANES], [[[0.0; LANES]; 3]; 3]);
+        widest(
+            #[inline(always)]
+            || out = self.gradients_inline(x, on),
+        );
+        out
+    }
+
+    #[inline(always)]
+    fn gradients_inline(&self, x: &Points, on: Option<usize>) -> (Lane, [[Lane; 3]; 3]) {
+        let Seen { ways, radii } = self.seen(x);
+        let n: [f64; 3] = self.normal.into();
+        let mut sums = [0.0; LANES];
+        let mut gradients = [[[0.0; LANES]; 3]; 3];
+        let mut of_normal = [[0.0; LANES]; 3];
+        let mut heights = [0.0; LANES];
+        if on.is_none() {
+            for l in 0..LANES {
+                heights[l] = self.height(&ways, l);
+            }
+        }
+        for k in 0..3 {
+            if on == Some(k) {
+                continue;
+            }
+            let j = (k + 1) % 3;
+            let (m, e, length): ([f64; 3], [f64; 3], f64) =
+                (self.outwards[k].into(), self.along[k].into(), self.lengths[k]);
+            for l in 0..LANES {
+                let a = [ways[k][0][l], ways[k][1][l], ways[k][2][l]];
+                let b = [ways[j][0][l], ways[j][1][l], ways[j][2][l]];
+                let (ra, rb) = (radii[k][l], radii[j][l]);
+                let s = ra + rb;
+                let q = log_ratio(s, length);
+                let inverse = 1.0 / (ra * rb + dot(&a, &b));
+                let distance = dot(&m, &a);
+                sums[l] += q * distance;
+                let turned = cross(&a, &e);
+                // The edge turns.
+                let of_edge = cross(&n, &a);
+                let along = dot(&e, &of_edge);
+                // dQ = (s dL - L ds) / (r_a r_b + r_a.r_b), and the solid angle's part of this edge.
+                let volume = cross(&a, &b);
+                let (factor, high) = (distance * inverse, heights[l] * inverse);
+                let (by_ra, by_rb) = (1.0 / ra, 1.0 / rb);
+                for axis in 0..3 {
+                    of_normal[axis][l] += q * turned[axis];
+                    let turn = q * (of_edge[axis] - e[axis] * along) / length;
+                    gradients[k][axis][l] +=
+                        q * m[axis] - turn - factor * (s * e[axis] + length * by_ra * a[axis])
+                            + high * by_ra * volume[axis];
+                    gradients[j][axis][l] += turn
+                        + factor * (s * e[axis] - length * by_rb * b[axis])
+                        + high * by_rb * volume[axis];
+                }
+            }
+        }
+        if on.is_none() {
+            let angles = self.angles(&ways, &radii);
+            for l in 0..LANES {
+                sums[l] -= heights[l] * angles[l];
+                for axis in 0..3 {
+                    of_normal[axis][l] -= angles[l] * ways[0][axis][l];
+                    gradients[0][axis][l] -= angles[l] * n[axis];
+                }
+            }
         }
         let by = 2.0 / self.double_area;
-        let mean = by * sum;
-        let of_area = (of_normal - n * n.dot(&of_normal)) / self.double_area;
         for k in 0..3 {
-            let opposite = self.opposite(k);
+            let opposite: [f64; 3] = self.opposite(k).into();
             // The area grows by half n x (opposite edge).
-            gradient[k] =
-                by * (gradient[k] + of_area.cross(&opposite)) - mean / self.double_area * n.cross(&opposite);
+            let grows = cross(&n, &opposite);
+            for l in 0..LANES {
+                let of = [of_normal[0][l], of_normal[1][l], of_normal[2][l]];
+                let along = dot(&n, &of);
+                let of_area = [0, 1, 2].map(|axis: usize| (of[axis] - n[axis] * along) / self.double_area);
+                let turned = cross(&of_area, &opposite);
+                for axis in 0..3 {
+                    gradients[k][axis][l] = by * (gradients[k][axis][l] + turned[axis])
+                        - by * sums[l] / self.double_area * grows[axis];
+                }
+            }
         }
-        (mean, gradient)
+        (sums.map(|sum| by * sum), gradients)
     }
 
     /// The mean inverse distance between two points of the triangle, 1/m: `4/3 sum_k ln(U / (U - 2 L_k)) / L_k` with the perimeter U (Eibert and
@@ -175,6 +261,17 @@ mod tests {
     use super::*;
 
     type D = [Dual64; 3];
+
+    impl Triangle {
+        pub fn mean(&self, x: &Vector3, on: Option<usize>) -> f64 {
+            self.means(&[x.x, x.y, x.z].map(|c| [c; LANES]), on)[LANES - 1]
+        }
+
+        fn mean_with_gradient(&self, x: &Vector3, on: Option<usize>) -> (f64, [Vector3; 3]) {
+            let (means, gradients) = self.means_with_gradients(&[x.x, x.y, x.z].map(|c| [c; LANES]), on);
+            (means[0], gradients.map(|g| Vector3::from(g.map(|axis| axis[0]))))
+        }
+    }
 
     fn dot(p: &D, q: &D) -> Dual64 {
         p[0] * q[0] + p[1] * q[1] + p[2] * q[2]

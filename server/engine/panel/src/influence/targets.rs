@@ -4,10 +4,16 @@ use moldline_foundation::quadrature::GAUSS_4;
 use moldline_mesh::Vector3;
 
 use super::{
+    assembly::View,
     far::Moments,
+    near::Points,
     records::{Influence, Line, plane_figure, plane_figure_jvp, plane_figure_vjp},
 };
-use crate::{elements::circulation_by_corners, surface::SurfaceChange};
+use crate::{
+    elements::circulation_by_corners,
+    lanes::{LANES, Lane},
+    surface::SurfaceChange,
+};
 
 /// Points of an element over which the potential of near ones is averaged, as weights of its corners, and their weights: exact for polynomials of the
 /// fourth degree (Strang and Fix).
@@ -27,6 +33,12 @@ pub(super) enum Carrier {
     Element(usize),
     /// A line, and which of Gauss's points on it.
     Line(usize, usize),
+}
+
+/// Points of a target: weights of its corners, and weights in the mean.
+pub(super) struct Probes {
+    pub corners: [Lane; 3],
+    pub weights: Lane,
 }
 
 /// A carrier as a target of the vector potential: its corners and, from afar, its centroid and moments.
@@ -110,15 +122,38 @@ impl Target {
         }
     }
 
-    /// Points over which the potential of near triangles is averaged, as weights of the corners.
-    pub fn probes(&self) -> ([([f64; 3], f64); 6], usize) {
+    /// Points over which the potential of near triangles is averaged. Lanes without a point have no weight.
+    pub fn probes(&self) -> Probes {
+        let mut probes = Probes { corners: [[0.0; LANES]; 3], weights: [0.0; LANES] };
         match self.carrier {
-            Carrier::Element(_) => (PROBES, PROBES.len()),
+            Carrier::Element(_) => {
+                for l in 0..LANES {
+                    let (corners, weight) = PROBES[l.min(PROBES.len() - 1)];
+                    (0..3).for_each(|k| probes.corners[k][l] = corners[k]);
+                    probes.weights[l] = if l < PROBES.len() { weight } else { 0.0 };
+                }
+            }
             Carrier::Line(_, point) => {
                 let (t, _) = gauss(point);
-                ([([1.0 - t, t, 0.0], 1.0); 6], 1)
+                probes.corners = [[1.0 - t; LANES], [t; LANES], [0.0; LANES]];
+                probes.weights[0] = 1.0;
             }
         }
+        probes
+    }
+
+    /// The places of probes as a view has them.
+    pub fn places(&self, probes: &Probes, view: &View) -> Points {
+        let mut places = [[0.0; LANES]; 3];
+        for (k, corner) in self.corners.iter().enumerate() {
+            let corner = view.place(corner);
+            for axis in 0..3 {
+                for l in 0..LANES {
+                    places[axis][l] += probes.corners[k][l] * corner[axis];
+                }
+            }
+        }
+        places
     }
 
     /// The circulation of the test functions for values of the unknowns.

@@ -9,6 +9,7 @@ use super::{
     records::Influence,
     targets::{Carrier, Target},
 };
+use crate::lanes::LANES;
 
 /// What a product makes of the mean inverse distances of a target to all that acts on it.
 pub(super) trait Visitor {
@@ -80,17 +81,20 @@ impl Influence<'_> {
 
 /// The mean over the target's probes.
 fn near(target: &Target, view: &View, triangle: &Triangle, on: Option<usize>) -> Near {
-    let (probes, count) = target.probes();
+    let probes = target.probes();
+    let (means, gradients) = triangle.means_with_gradients(&target.places(&probes, view), on);
     let mut near = Near { mean: 0.0, by_target: [Vector3::zeros(); 3], by_source: [Vector3::zeros(); 3] };
-    for &(weights, by) in &probes[..count] {
-        let x = (0..3).map(|k| weights[k] * target.corners[k]).sum();
-        let (mean, gradient) = triangle.mean_with_gradient(&view.place(&x), on);
-        near.mean += by * mean;
-        let by_point = view.place(&-gradient.iter().sum::<Vector3>());
-        for k in 0..3 {
-            near.by_target[k] += by * weights[k] * by_point;
-            near.by_source[k] += by * gradient[k];
+    for l in 0..LANES {
+        let weight = probes.weights[l];
+        near.mean += weight * means[l];
+        let mut by_point = Vector3::zeros();
+        for (k, by_source) in near.by_source.iter_mut().enumerate() {
+            let gradient = weight * Vector3::from_fn(|axis, _| gradients[k][axis][l]);
+            *by_source += gradient;
+            by_point -= gradient;
         }
+        let by_point = view.place(&by_point);
+        (0..3).for_each(|k| near.by_target[k] += probes.corners[k][l] * by_point);
     }
     near
 }
