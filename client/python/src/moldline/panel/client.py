@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 from numpy.typing import ArrayLike
 
@@ -83,6 +85,11 @@ class Client(Caller):
     def get_configuration(self, configuration_id: str, *, timeout: float | None = None) -> Configuration:
         """The configuration with this id. Raises :class:`moldline.NotFound` if the server does not hold it, or no longer."""
         return Configuration(self, self._run(operations.get(configuration_id), timeout), None)
+
+
+def serve(*arguments: str, binary: str | os.PathLike[str] | None = None, **options: Any) -> Client:
+    """As :func:`moldline.serve`, for the panel service: `arguments` are those of `moldline panel serve`."""
+    return Client._with_server(("panel", "serve", *arguments), binary, options)
 
 
 class Configuration(ConfigurationFacts):
