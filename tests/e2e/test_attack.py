@@ -280,3 +280,18 @@ def post(server: Server, path: str, body: bytes) -> tuple[int, bytes]:
     status, content = answer.status, answer.read()
     connection.close()
     return status, content
+
+
+def test_a_server_whose_store_has_vanished_is_not_ready(binary: Path, tmp_path: Path) -> None:
+    with Server(binary, store=tmp_path / "store") as server:
+        assert probe(server, "/readyz") == 200
+        (tmp_path / "store").rename(tmp_path / "elsewhere")
+        end = time.monotonic() + 20
+        while probe(server, "/readyz") == 200:
+            assert time.monotonic() < end
+            time.sleep(0.2)
+        assert probe(server, "/healthz") == 200
+        (tmp_path / "elsewhere").rename(tmp_path / "store")
+        while probe(server, "/readyz") != 200:
+            assert time.monotonic() < end
+            time.sleep(0.2)

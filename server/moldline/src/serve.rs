@@ -1,12 +1,13 @@
 //! `moldline serve`: the mesh service on a port.
 
-use std::sync::Arc;
+use std::{sync::Arc, time::Duration};
 
 use clap::Args;
 use metrics::{counter, gauge};
 use moldline_host::{CacheStatus, Supply};
 use moldline_mesh_service::{Limits, Service};
 use moldline_transport::{Admission, Gauges, Served};
+use tokio::sync::watch;
 
 use crate::{
     api::{self, MeshApi},
@@ -134,11 +135,30 @@ pub async fn parts(service: Arc<Service>, max_message: usize) -> Result<Parts, S
     let (grpc, open, health) = grpc::routes(api.clone(), max_message).await?;
     let http = http::routes(api, max_message);
     let gauges = gauges(Arc::clone(&service));
+    let store = watch_store(&service);
     let pool = Arc::clone(&service);
-    let health = health.while_passes(move || pool.moving());
+    let health = health.while_passes(move || {
+        pool.moving()?;
+        store.borrow().clone()
+    });
     let admission = Admission { memory: Arc::clone(service.memory()), methods: api::method, max_message };
     let load = Arc::new(move || service.load());
     Ok(Parts { served: Served { http, grpc, open, admission }, health, gauges, load })
+}
+
+/// What is wrong with the store, looked at every second as long as the service lives.
+fn watch_store(service: &Arc<Service>) -> watch::Receiver<Result<(), String>> {
+    let (sender, receiver) = watch::channel(Ok(()));
+    let service = Arc::downgrade(service);
+    tokio::spawn(async move {
+        while let Some(service) = service.upgrade() {
+            let health = service.store_health().await;
+            drop(service);
+            let _ = sender.send_replace(health.map(drop).map_err(|error| format!("the store: {error}")));
+            tokio::time::sleep(Duration::from_secs(1)).await;
+        }
+    });
+    receiver
 }
 
 /// Records load and memory for /metrics.
