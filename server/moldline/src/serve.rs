@@ -84,7 +84,9 @@ impl ServeOptions {
             setups: self.max_setups,
             sessions: self.max_sessions,
             stored_bytes: self.max_stored.saturating_mul(1 << 20),
-            hide_known: !self.fast_known_uploads,
+            // Without credentials there is one tenant, from which nothing is to be hidden.
+            hide_known: !self.fast_known_uploads
+                && (self.listen.tokens.is_some() || self.listen.client_ca.is_some()),
             load: self.compute.tenant_load,
             setup_bytes: usize::try_from(setups).unwrap_or(usize::MAX),
             linearisation_bytes: usize::try_from(linearisations).unwrap_or(usize::MAX),

