@@ -121,6 +121,23 @@ def test_a_client_used_by_a_child_that_was_forked_in_mid_use(setup: moldline.Set
         assert [each.result()[1] for each in busy[: len(DESIGNS)]] == [volume(setup, design)[1] for design in DESIGNS]
 
 
+def test_a_lock_that_the_parent_holds_is_open_in_the_child(setup: moldline.Setup) -> None:
+    expected = volume(setup, DESIGNS[0])[1]
+    client = setup._client
+    fork = multiprocessing.get_context("fork")
+    reader, writer = fork.Pipe(False)
+    child = fork.Process(target=lambda: writer.send(volume(setup, DESIGNS[0])[1]))
+    # As by threads that are connecting or opening a session at this moment.
+    with client._lock, client._sessions._lock:
+        child.start()
+    try:
+        assert reader.poll(30), "the child hangs"
+        assert reader.recv() == expected
+    finally:
+        child.kill()
+        child.join()
+
+
 def test_joblib(setup: moldline.Setup) -> None:
     joblib = pytest.importorskip("joblib")
     told = joblib.Parallel(n_jobs=2)(joblib.delayed(volume)(setup, design) for design in DESIGNS)

@@ -1,6 +1,8 @@
-"""The mesh service as a function of PyTorch. Its wheel is large: where it is missing, this is left out."""
+"""Both services as functions of PyTorch. Its wheel is large: where it is missing, this is left out."""
 
 from __future__ import annotations
+
+from pathlib import Path
 
 import moldline
 import numpy as np
@@ -36,6 +38,23 @@ def test_torchs_own_check_of_gradients(setup: moldline.Setup) -> None:
 
     design = torch.tensor(DESIGN, requires_grad=True)
     assert torch.autograd.gradcheck(outputs, (design,), eps=1e-5, atol=1e-6, check_forward_ad=True)
+
+
+def test_the_chain_of_both_services_is_the_direct_chain(binary: Path, setup: moldline.Setup) -> None:
+    reference = moldline.panel.Reference(area=4.0, chord=1.0, span=2.0)
+    with moldline.panel.serve(binary=binary) as panels:
+        mesh = setup.mesh
+        configuration = panels.create_configuration(mesh.vertices, mesh.cells, trailing_edges="none", symmetry="none")
+        analyze = moldline.torch.analyze(configuration, reference)
+        design, alpha = (torch.tensor(x, dtype=torch.float64, requires_grad=True) for x in (DESIGN, 0.03))
+        flow = analyze(moldline.torch.deform(setup)(design).vertices, alpha=alpha, mach=0.3)
+        (flow.coefficients["pressure_drag"] + 0.1 * (flow.cp**2).sum()).backward()
+        moved = setup.deform(DESIGN)
+        direct = configuration.analyze(moved.vertices, reference=reference, alpha=0.03, mach=0.3)
+        adjoint = configuration.vjp({"pressure_drag": 1.0}, cp=0.2 * direct.cp, at=direct)
+        expected = setup.vjp(vertices=adjoint.vertices, at=moved).design
+        assert np.abs(design.grad.numpy() - expected).max() <= 1e-14 * np.abs(expected).max()
+        assert alpha.grad.item() == pytest.approx(float(adjoint.alpha), rel=1e-13)
 
 
 def test_wrong_shapes_are_refused(setup: moldline.Setup) -> None:

@@ -6,7 +6,6 @@ import asyncio
 import logging
 import os
 import pickle
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
@@ -17,7 +16,7 @@ from typing import Any, ClassVar, TypeVar
 import grpc
 import grpc.aio
 
-from moldline import connection
+from moldline import connection, forks
 from moldline.calls import Call, Operation
 from moldline.connection import TLS, Credential
 from moldline.errors import MoldlineError, translated
@@ -60,7 +59,7 @@ class _Connection:
         self._tls = tls
         self._timeout = timeout
         self._retry = retry
-        self._lock = threading.Lock()
+        self._lock = forks.Lock()
         self._open: _Open | None = None
         #: Process that made the channel, and whether the client is closed there.
         self._process = os.getpid()
@@ -131,7 +130,7 @@ class _Copies:
     """The clients that came to this process by pickle: equal ones are one, with one channel."""
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
+        self._lock = forks.Lock()
         self._clients: dict[Any, _Connection] = {}
 
     def find(self, key: Any, make: Callable[[], _Connection]) -> _Connection:

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import os
-import threading
 from collections.abc import Callable
 from typing import Any
+
+from moldline import forks
 
 
 class OwnSessions:
     """One session of each set-up and process, opened when it is needed. A child process leaves its parent's alone."""
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
+        self._lock = forks.Lock()
         self._process = os.getpid()
         self._by_setup: dict[str, Any] = {}
 
