@@ -5,6 +5,7 @@ use clap::{Parser, Subcommand};
 use crate::{
     check::CheckOptions,
     deform::DeformOptions,
+    import::ImportCommand,
     panel::{analyze::AnalyzeOptions, serve::PanelServeOptions},
     serve::ServeOptions,
     setup::{SchemaOptions, SetupOptions},
@@ -40,6 +41,8 @@ pub enum Command {
     Token(TokenOptions),
     /// Deform the mesh of a set-up on this machine and write it as VTU
     Deform(DeformOptions),
+    /// Make a set-up of an aircraft file: STEP or IGES, untrimmed
+    Import(ImportCommand),
     /// Build a set-up on this machine and print its report
     Setup(SetupOptions),
     /// Check the derivatives of a set-up against their transposes, dual numbers and central differences

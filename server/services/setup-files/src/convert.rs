@@ -16,7 +16,7 @@ use crate::document::{
 };
 use crate::files::{Files, Limits, clean_path, find_setup_file, names};
 use crate::outputs::output;
-use crate::parse::{parse_geometry, parse_setup};
+use crate::parse::{parse_geometry, parse_parameterisation, parse_setup};
 use crate::{SetupFileError, document};
 
 /// A set-up that has been read, ready for [`moldline_deform::Setup::build`].
@@ -84,6 +84,19 @@ pub fn read_setup(
         input: SetupInput { components, mesh, parameterisation, outputs, options },
         files: reader.used,
     })
+}
+
+/// Whether the engine accepts the design variables and operations of a set-up file for these components. `text` is
+/// TOML with nothing but its `parameterisation`.
+///
+/// # Errors
+/// The first thing that is wrong.
+pub fn check_parameterisation(text: &str, components: &[ComponentReference]) -> Result<(), SetupFileError> {
+    let document = parse_parameterisation(text)?;
+    let variables: Vec<_> = document.variables.into_iter().map(variable).collect();
+    let operations: Vec<_> = document.operations.into_iter().map(operation).collect();
+    Parameterisation::new(components, &variables, &operations)?;
+    Ok(())
 }
 
 struct Reader<'a> {
