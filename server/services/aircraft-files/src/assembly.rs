@@ -47,90 +47,88 @@ pub(crate) struct LeftOut {
 /// themselves.
 pub(crate) fn assemble(sets: Vec<SurfaceSet>) -> (Option<Assembled>, Vec<LeftOut>) {
     let size = size(sets.iter().flat_map(|set| &set.patches));
-    let smooth = |mut set: SurfaceSet| {
-        let before: usize = set.patches.iter().map(pieces).sum();
-        let mut removed = Removed { pieces: before, ..Removed::default() };
-        set.patches = set.patches.into_iter().map(|patch| removed.smooth(patch, REMOVAL_TOLERANCE * size)).collect();
-        (set, removed)
-    };
-    let sets: Vec<(SurfaceSet, Removed)> = sets.into_iter().map(smooth).collect();
-    let all: Vec<&(SurfaceSet, Removed)> = sets.iter().collect();
-    let mut left_out = Vec::new();
+    let all: Vec<&SurfaceSet> = sets.iter().collect();
     let error = match join(&all, size) {
-        Ok(component) => return (Some(component), left_out),
+        Ok(component) => return (Some(component), Vec::new()),
         Err(error) => error,
     };
     let mut closed = Vec::new();
+    let mut left_out = Vec::new();
+    let mut leave_out = |set: &SurfaceSet, error: &ComponentError| {
+        let SurfaceSet { id, name, patches } = set;
+        left_out.push(LeftOut {
+            id: id.clone(),
+            name: name.clone(),
+            patches: patches.len(),
+            reason: reason(error),
+        });
+    };
     for set in &sets {
         let error = if sets.len() == 1 { Some(error.clone()) } else { join(&[set], size).err() };
         match error {
             None => closed.push(set),
-            Some(error) => left_out.push(LeftOut {
-                id: set.0.id.clone(),
-                name: set.0.name.clone(),
-                patches: set.0.patches.len(),
-                reason: reason(&error),
-            }),
+            Some(error) => leave_out(set, &error),
         }
     }
-    // Copies that are closed, and not together (they touch), are kept without dropping what they share.
-    let component = if closed.is_empty() { None } else { join(&closed, size).ok().or_else(|| join(&closed[..1], size).ok()) };
-    (component, left_out)
-}
-
-/// What has been taken out of a set.
-#[derive(Debug, Clone, Copy, Default)]
-struct Removed {
-    pieces: usize,
-    knots: usize,
-    change: f64,
-}
-
-impl Removed {
-    fn smooth(&mut self, patch: PatchInput, tolerance: f64) -> PatchInput {
-        let (patch, removal) = remove_false_corners(patch, tolerance);
-        self.knots += removal.removed;
-        self.change = self.change.max(removal.change);
-        patch
+    if closed.is_empty() {
+        return (None, left_out);
+    }
+    match join(&closed, size) {
+        Ok(component) => (Some(component), left_out),
+        // Each is closed, and they touch along an edge or overlap: nothing that could be told apart.
+        Err(error) => {
+            closed.iter().for_each(|set| leave_out(set, &error));
+            (None, left_out)
+        }
     }
 }
 
-fn join(sets: &[&(SurfaceSet, Removed)], size: f64) -> Result<Assembled, ComponentError> {
-    let first = &sets[0].0;
+fn join(sets: &[&SurfaceSet], size: f64) -> Result<Assembled, ComponentError> {
+    let first = sets[0];
     let mut patches: Vec<(usize, &PatchInput)> = Vec::new();
-    for (index, (set, _)) in sets.iter().enumerate() {
+    for (index, set) in sets.iter().enumerate() {
         patches.extend(set.patches.iter().map(|patch| (index, patch)));
     }
     let patches_before = patches.len();
+    let pieces_before = patches.iter().map(|(_, patch)| pieces(patch)).sum();
     drop_coincident(&mut patches, WELD_TOLERANCE * size);
     let mut patches: Vec<PatchInput> = patches.into_iter().map(|(_, patch)| patch.clone()).collect();
+    // Gaps first: edges of equal curves then lose the same knots.
     let weld = weld(&mut patches, WELD_TOLERANCE * size);
-    for (number, patch) in (1..).zip(&mut patches) {
+    let (mut knots_removed, mut removal_change) = (0, 0.0_f64);
+    let mut smooth = Vec::with_capacity(patches.len());
+    for (number, patch) in (1..).zip(patches) {
+        let (mut patch, removal) = remove_false_corners(patch, REMOVAL_TOLERANCE * size);
         patch.name = format!("patch_{number}");
+        knots_removed += removal.removed;
+        removal_change = removal_change.max(removal.change);
+        smooth.push(patch);
     }
-    let mut result = Err(ComponentError::Empty { component: first.name.clone() });
-    for edge_tolerance in EDGE_TOLERANCES {
-        let options = ComponentOptions { edge_tolerance, ..ComponentOptions::default() };
-        result = Component::new(first.name.clone(), patches.clone(), &options).map(|c| (c, edge_tolerance));
-        if result.is_ok() {
-            break;
-        }
-    }
-    let ((component, control_points), edge_tolerance) = result?;
-    let sum = |of: fn(&Removed) -> usize| sets.iter().map(|(_, removed)| of(removed)).sum();
+    let (component, control_points, edge_tolerance) = close(&first.name, &smooth)?;
     Ok(Assembled {
         id: first.id.clone(),
         name: first.name.clone(),
         body: Body::new(component.into(), control_points),
-        patches,
+        patches: smooth,
         sets: sets.len(),
         patches_before,
-        pieces_before: sum(|removed| removed.pieces),
-        knots_removed: sum(|removed| removed.knots),
-        removal_change: sets.iter().map(|(_, removed)| removed.change).fold(0.0, f64::max),
+        pieces_before,
+        knots_removed,
+        removal_change,
         weld,
         edge_tolerance,
     })
+}
+
+/// The component, with the least tolerance that closes it; the error is that of the engine's own.
+fn close(name: &str, patches: &[PatchInput]) -> Result<(Component, Vec<[f64; 4]>, f64), ComponentError> {
+    let with = |edge_tolerance: f64| {
+        let options = ComponentOptions { edge_tolerance, ..ComponentOptions::default() };
+        Component::new(name.to_owned(), patches.to_vec(), &options)
+            .map(|(c, points)| (c, points, edge_tolerance))
+    };
+    let [own, larger @ ..] = EDGE_TOLERANCES;
+    with(own).or_else(|error| larger.into_iter().find_map(|tolerance| with(tolerance).ok()).ok_or(error))
 }
 
 /// Drops pairs of patches of two copies that are the same surface, as the caps at the roots of mirrored wings: what is between
@@ -139,7 +137,11 @@ fn drop_coincident(patches: &mut Vec<(usize, &PatchInput)>, tolerance: f64) {
     let mut drop = vec![false; patches.len()];
     for i in 0..patches.len() {
         for j in i + 1..patches.len() {
-            if !drop[i] && !drop[j] && patches[i].0 != patches[j].0 && coincide(patches[i].1, patches[j].1, tolerance) {
+            if !drop[i]
+                && !drop[j]
+                && patches[i].0 != patches[j].0
+                && coincide(patches[i].1, patches[j].1, tolerance)
+            {
                 (drop[i], drop[j]) = (true, true);
             }
         }

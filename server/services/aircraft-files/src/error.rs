@@ -6,7 +6,9 @@ use moldline_spline::KnotError;
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ImportError {
     /// The file has neither format.
-    #[error("the file is neither STEP (it would begin with ISO-10303-21;) nor IGES (an S in column 73 of its first line)")]
+    #[error(
+        "the file is neither STEP (it would begin with ISO-10303-21;) nor IGES (an S in column 73 of its first line)"
+    )]
     Format,
     /// A count is beyond its limit.
     #[error("the file has {found} {what}, more than the {limit} allowed: export fewer components at a time")]
@@ -81,7 +83,9 @@ pub enum ImportError {
         reason: String,
     },
     /// No surfaces.
-    #[error("the file has no surfaces that can be imported{hint}; export the outer surfaces as untrimmed B-splines")]
+    #[error(
+        "the file has no surfaces that can be imported{hint}; export the outer surfaces as untrimmed B-splines"
+    )]
     NoSurfaces {
         /// What it has instead, from `: `.
         hint: String,

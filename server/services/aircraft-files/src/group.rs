@@ -5,13 +5,14 @@ use std::collections::BTreeMap;
 use moldline_foundation::Vector3;
 use moldline_geometry::PatchInput;
 
-use crate::model::{SurfaceSet, split_label};
+use crate::model::{SurfaceSet, copy_number, split_label};
 
 /// Corners within this distance of each other, relative to the size of all patches, touch.
 const CONTACT: f64 = 1e-5;
 
-/// Patches with the same ID in their labels are one set; those without ID are one set where they touch at two corners.
+/// Patches with the same ID and number of the copy in their labels are one set; those without ID are one set where they touch at two corners.
 pub(crate) fn by_label_or_contact(patches: Vec<PatchInput>) -> Vec<SurfaceSet> {
+    let mut index: BTreeMap<(String, String), usize> = BTreeMap::new();
     let mut sets: Vec<SurfaceSet> = Vec::new();
     let mut nameless = Vec::new();
     for patch in patches {
@@ -20,10 +21,11 @@ pub(crate) fn by_label_or_contact(patches: Vec<PatchInput>) -> Vec<SurfaceSet> {
             nameless.push(patch);
             continue;
         };
-        match sets.iter_mut().find(|set| set.id == id) {
-            Some(set) => set.patches.push(patch),
-            None => sets.push(SurfaceSet { id: id.into(), name: name.into(), patches: vec![patch] }),
-        }
+        let at = *index.entry((id.into(), copy_number(&patch.name).into())).or_insert_with(|| {
+            sets.push(SurfaceSet { id: id.into(), name: name.into(), patches: Vec::new() });
+            sets.len() - 1
+        });
+        sets[at].patches.push(patch);
     }
     sets.extend(by_contact(nameless));
     sets
@@ -48,8 +50,11 @@ fn by_contact(patches: Vec<PatchInput>) -> Vec<SurfaceSet> {
         for di in -1..=1 {
             for dj in -1..=1 {
                 for dk in -1..=1 {
-                    let others = cells.get(&[i.saturating_add(di), j.saturating_add(dj), k.saturating_add(dk)]);
-                    touched.extend(others.into_iter().flatten().map(|other| other / 4).filter(|&p| p > index / 4));
+                    let others =
+                        cells.get(&[i.saturating_add(di), j.saturating_add(dj), k.saturating_add(dk)]);
+                    touched.extend(
+                        others.into_iter().flatten().map(|other| other / 4).filter(|&p| p > index / 4),
+                    );
                 }
             }
         }

@@ -8,6 +8,7 @@ use moldline_spline::{KnotVector, MAX_DEGREE};
 
 use crate::{
     error::ImportError,
+    knots::with_clamped_ends,
     limits::ImportLimits,
     model::{FileUnit, Model},
     step::Budget,
@@ -96,7 +97,10 @@ fn entry(lines: &[(&str, usize)]) -> Result<Directory, ImportError> {
         })
     };
     let Some(&(second, second_line)) = lines.get(1) else {
-        return Err(ImportError::Syntax { line, message: "a directory entry has one line instead of two".into() });
+        return Err(ImportError::Syntax {
+            line,
+            message: "a directory entry has one line instead of two".into(),
+        });
     };
     let status = first.get(64..72).unwrap_or("");
     let start = field(first, line, 1)?;
@@ -124,7 +128,8 @@ fn global_section(text: &str) -> Result<((char, char), Option<FileUnit>), Import
     let rest = rest.get(used..).unwrap_or("");
     let rest = rest.strip_prefix(parameter).unwrap_or(rest);
     let fields = Fields { text: rest, at: 0, delimiters: (parameter, record) };
-    let fields: Vec<&str> = fields.collect::<Result<_, _>>().map_err(|message| ImportError::Syntax { line: 2, message })?;
+    let fields: Vec<&str> =
+        fields.collect::<Result<_, _>>().map_err(|message| ImportError::Syntax { line: 2, message })?;
     // Fields 14 and 15, of which the first two are the delimiters.
     let flag = fields.get(11).copied().unwrap_or("");
     let name = fields.get(12).map_or("", |name| text_of(name)).to_ascii_uppercase();
@@ -172,7 +177,9 @@ impl<'t> Iterator for Fields<'t> {
         if digits > 0 && rest.as_bytes().get(skipped + digits) == Some(&b'H') {
             let count: usize = match rest[skipped..skipped + digits].parse() {
                 Ok(count) => count,
-                Err(_) => return Some(Err(format!("{} is no length of a text", &rest[skipped..skipped + digits]))),
+                Err(_) => {
+                    return Some(Err(format!("{} is no length of a text", &rest[skipped..skipped + digits])));
+                }
             };
             from = (skipped + digits + 1).saturating_add(count);
             if rest.get(from..).is_none() {
@@ -219,7 +226,9 @@ impl Parameters {
         let number = if field.is_empty() { Ok(0) } else { field.parse::<usize>() };
         match number {
             Ok(number) if number <= most => Ok(number),
-            _ => Err(self.error(format!("parameter {} is '{field}', no whole number up to {most}", index + 1))),
+            _ => {
+                Err(self.error(format!("parameter {} is '{field}', no whole number up to {most}", index + 1)))
+            }
         }
     }
 
@@ -244,7 +253,8 @@ impl File<'_> {
             return Err(ImportError::Missing { number: number as u64 });
         };
         let entity = format!("D{number} {}", entry.kind);
-        let lines = entry.first.checked_add(entry.count).and_then(|end| self.parameters.get(entry.first..end));
+        let lines =
+            entry.first.checked_add(entry.count).and_then(|end| self.parameters.get(entry.first..end));
         let Some(lines) = lines else {
             let message = "its parameters are beyond the end of the file".into();
             return Err(ImportError::Entity { entity, line: entry.line, message });
@@ -253,7 +263,8 @@ impl File<'_> {
         let line = lines.first().map_or(entry.line, |(_, line)| *line);
         let fields = Fields { text: &text, at: 0, delimiters: self.delimiters };
         let fields = fields.skip(1).map(|field| field.map(str::to_owned)).collect::<Result<_, _>>();
-        let fields = fields.map_err(|message| ImportError::Entity { entity: entity.clone(), line, message })?;
+        let fields =
+            fields.map_err(|message| ImportError::Entity { entity: entity.clone(), line, message })?;
         Ok(Parameters { fields, entity, line })
     }
 
@@ -302,11 +313,13 @@ impl File<'_> {
             let outer = parameters.count(1, 1)?;
             let inner = parameters.count(2, usize::MAX)?;
             let reason = if inner > 0 { Some(format!("it has {inner} holes")) } else { None };
-            let outer = (outer == 1).then(|| "it has an outer boundary of its own (entity 144, N1 = 1)".to_owned());
+            let outer =
+                (outer == 1).then(|| "it has an outer boundary of its own (entity 144, N1 = 1)".to_owned());
             (parameters.count(0, usize::MAX)?, reason.or(outer))
         } else {
             let boundaries = parameters.count(2, usize::MAX)?;
-            let reason = (boundaries > 0).then(|| format!("it has {boundaries} boundaries of its own (entity 143)"));
+            let reason =
+                (boundaries > 0).then(|| format!("it has {boundaries} boundaries of its own (entity 143)"));
             (parameters.count(1, usize::MAX)?, reason)
         };
         match reason {
@@ -338,10 +351,12 @@ impl File<'_> {
         let points = weights + count;
         let end = points + 3 * count + 4;
         if most < end {
-            return Err(parameters.error(format!("has {most} parameters; {n_u} x {n_v} control points need {end}")));
+            return Err(
+                parameters.error(format!("has {most} parameters; {n_u} x {n_v} control points need {end}"))
+            );
         }
         let valid = |direction, degree, first, count| {
-            let knots = parameters.numbers(first, count)?;
+            let knots = with_clamped_ends(degree, parameters.numbers(first, count)?);
             KnotVector::new(degree, knots).map_err(|source| ImportError::Knots {
                 entity: parameters.entity.clone(),
                 line: parameters.line,
@@ -353,7 +368,9 @@ impl File<'_> {
         let knots_v = valid('v', degree_v, 9 + n_u + degree_u + 1, knots_v)?;
         let weights = parameters.numbers(weights, count)?;
         if let Some(weight) = weights.iter().find(|w| !(1e-9..=1e9).contains(*w)) {
-            return Err(parameters.error(format!("a weight is {weight}; weights must be positive, from 1e-9 to 1e9")));
+            return Err(
+                parameters.error(format!("a weight is {weight}; weights must be positive, from 1e-9 to 1e9"))
+            );
         }
         let flat = parameters.numbers(points, 3 * count)?;
         let matrix = self.matrix(self.directory[number / 2].matrix)?;
@@ -369,13 +386,14 @@ impl File<'_> {
         };
         let domain = parameters.numbers(points + 3 * count, 4)?;
         let (u, v) = (knots_u.domain(), knots_v.domain());
-        let near = |a: f64, b: f64, length: f64| (a - b).abs() <= 1e-9 * length;
-        let whole = near(domain[0], u.0, u.1 - u.0)
-            && near(domain[1], u.1, u.1 - u.0)
-            && near(domain[2], v.0, v.1 - v.0)
-            && near(domain[3], v.1, v.1 - v.0);
-        if !whole {
-            let reason = format!("its parameters go from {} to {} and from {} to {}, its knots further", domain[0], domain[1], domain[2], domain[3]);
+        // Some writers end the range one knot too far; short of the knots it cuts the surface.
+        let covers = |range: &[f64], (a, b): (f64, f64)| {
+            let hair = 1e-9 * (b - a);
+            range[0] <= a + hair && b - hair <= range[1]
+        };
+        if !(covers(&domain[..2], u) && covers(&domain[2..], v)) {
+            let [u0, u1, v0, v1] = [domain[0], domain[1], domain[2], domain[3]];
+            let reason = format!("u from {u0} to {u1}, v from {v0} to {v1} is not all that its knots span");
             return Err(ImportError::Trimmed {
                 face: parameters.entity.clone(),
                 set: "the file".into(),
@@ -395,10 +413,12 @@ impl File<'_> {
 
     /// The name behind an entity's parameters: the number of associated entities, these, the number of properties, these.
     fn name(&self, parameters: &Parameters, end: usize, names: &HashMap<usize, String>) -> String {
-        let count = |index: usize| parameters.fields.get(index).and_then(|f| f.parse::<usize>().ok()).unwrap_or(0);
+        let count =
+            |index: usize| parameters.fields.get(index).and_then(|f| f.parse::<usize>().ok()).unwrap_or(0);
         let properties = end.saturating_add(1).saturating_add(count(end));
         let properties = parameters.fields.get(properties..).unwrap_or(&[]);
-        let name = properties.iter().filter_map(|f| f.parse().ok()).find_map(|number: usize| names.get(&number));
+        let name =
+            properties.iter().filter_map(|f| f.parse().ok()).find_map(|number: usize| names.get(&number));
         name.cloned().unwrap_or_default()
     }
 

@@ -84,7 +84,8 @@ pub fn import(
         left_out.extend(open);
     }
     if components.is_empty() {
-        let reasons: Vec<String> = left_out.iter().take(5).map(|l| format!("{} is {}", l.name, l.reason)).collect();
+        let reasons: Vec<String> =
+            left_out.iter().take(5).map(|l| format!("{} is {}", l.name, l.reason)).collect();
         return Err(ImportError::NothingClosed { reasons: reasons.join("; ") });
     }
 
@@ -104,8 +105,9 @@ pub fn import(
     let low = [0, 1, 2].map(|k| reports.iter().map(|r| r.low[k]).fold(f64::INFINITY, f64::min));
     let high = [0, 1, 2].map(|k| reports.iter().map(|r| r.high[k]).fold(f64::NEG_INFINITY, f64::max));
     let left_out = left_out.into_iter();
-    let left_out =
-        left_out.map(|LeftOut { id, name, patches, reason }| LeftOutReport { name, id, patches, reason }).collect();
+    let left_out = left_out
+        .map(|LeftOut { id, name, patches, reason }| LeftOutReport { name, id, patches, reason })
+        .collect();
     Ok(Import {
         files: write::files(&options.title, &written),
         report: ImportReport { file_unit, metres_per_unit, low, high, components: reports, left_out },
@@ -123,7 +125,8 @@ fn read(bytes: &[u8], limits: &ImportLimits) -> Result<Model, ImportError> {
         return step::read(start, limits);
     }
     // Columns of IGES are bytes.
-    let ascii = |text: Cow<'_, str>| -> String { text.chars().map(|c| if c.is_ascii() { c } else { '?' }).collect() };
+    let ascii =
+        |text: Cow<'_, str>| -> String { text.chars().map(|c| if c.is_ascii() { c } else { '?' }).collect() };
     let text = if text.is_ascii() { text } else { Cow::Owned(ascii(text)) };
     match text.as_bytes().get(72) {
         Some(b'S' | b'G') => iges::read(&text, limits),
@@ -144,7 +147,11 @@ fn named(sets: Vec<SurfaceSet>) -> Vec<Vec<SurfaceSet>> {
     }
     let mut used: BTreeMap<String, usize> = BTreeMap::new();
     for group in &mut order {
-        let plain: String = group[0].name.chars().map(|c| if c.is_ascii_alphanumeric() || c == '-' { c } else { '_' }).collect();
+        let plain: String = group[0]
+            .name
+            .chars()
+            .map(|c| if c.is_ascii_alphanumeric() || c == '-' { c } else { '_' })
+            .collect();
         let plain: String = plain.chars().take(64).collect();
         let plain = if plain.is_empty() { "component".to_owned() } else { plain };
         let mut name = plain.clone();
@@ -161,7 +168,10 @@ fn named(sets: Vec<SurfaceSet>) -> Vec<Vec<SurfaceSet>> {
 }
 
 /// The groups that the options ask for.
-fn chosen(groups: Vec<Vec<SurfaceSet>>, options: &ImportOptions) -> Result<Vec<Vec<SurfaceSet>>, ImportError> {
+fn chosen(
+    groups: Vec<Vec<SurfaceSet>>,
+    options: &ImportOptions,
+) -> Result<Vec<Vec<SurfaceSet>>, ImportError> {
     let is = |group: &[SurfaceSet], name: &String| group[0].name == *name || group[0].id == *name;
     for (option, names) in [("--only", &options.only), ("--skip", &options.skip)] {
         if let Some(name) = names.iter().find(|name| !groups.iter().any(|group| is(group, name))) {
@@ -178,7 +188,8 @@ fn chosen(groups: Vec<Vec<SurfaceSet>>, options: &ImportOptions) -> Result<Vec<V
 
 fn scale(sets: &mut [SurfaceSet], metres_per_unit: f64) {
     if metres_per_unit != 1.0 {
-        let points = sets.iter_mut().flat_map(|set| &mut set.patches).flat_map(|patch| &mut patch.control_points);
+        let points =
+            sets.iter_mut().flat_map(|set| &mut set.patches).flat_map(|patch| &mut patch.control_points);
         points.flatten().for_each(|x| *x *= metres_per_unit);
     }
 }

@@ -8,6 +8,20 @@
 use moldline_geometry::PatchInput;
 use moldline_spline::KnotVector;
 
+/// Knots whose first or last one differs from p equal ones beside it, as OpenVSP's IGES has them: no value depends on it.
+pub(crate) fn with_clamped_ends(degree: usize, mut knots: Vec<f64>) -> Vec<f64> {
+    let n = knots.len();
+    if degree > 0 && n >= 2 * degree + 2 {
+        if knots[1..=degree].iter().all(|t| *t == knots[1]) {
+            knots[0] = knots[1];
+        }
+        if knots[n - 1 - degree..n - 1].iter().all(|t| *t == knots[n - 2]) {
+            knots[n - 1] = knots[n - 2];
+        }
+    }
+    knots
+}
+
 /// What was taken out of a patch.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(crate) struct Removal {
@@ -93,7 +107,9 @@ fn smooth_direction(knots: &KnotVector, rows: Rows, tolerance: f64) -> (KnotVect
     let Ok(smooth) = KnotVector::new(p, smooth) else { return unchanged(rows) };
     let mut keep = vec![true; knots.control_point_count()];
     gone.iter().for_each(|&k| keep[k] = false);
-    let rows = rows.into_iter().map(|row| row.into_iter().zip(&keep).filter(|(_, keep)| **keep).map(|(p, _)| p).collect());
+    let rows = rows
+        .into_iter()
+        .map(|row| row.into_iter().zip(&keep).filter(|(_, keep)| **keep).map(|(p, _)| p).collect());
     (smooth, rows.collect(), removal)
 }
 

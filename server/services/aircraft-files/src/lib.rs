@@ -1,7 +1,7 @@
 //! Aircraft files of other programs, STEP and IGES, as set-up folders.
 //!
-//! The steps: [`step`] and [`iges`] read the file to sets of patches ([`model`]); [`assembly`] makes closed components of
-//! them, with [`knots`] and [`weld`]; [`shape`] finds wings and bodies; [`write`] writes geometry files and a
+//! The steps: `step` and `iges` read the file to sets of patches (`model`); `assembly` makes closed components of
+//! them, with `knots` and `weld`; `shape` finds wings and bodies; `write` writes geometry files and a
 //! set-up that starts useful.
 //!
 //! Absent on purpose: trimmed surfaces, booleans, meshes, the disk.

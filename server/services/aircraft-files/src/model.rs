@@ -45,9 +45,18 @@ pub(crate) fn split_label(label: &str) -> (Option<&str>, &str) {
     if !is_id(id) {
         return (None, without_numbers(label));
     }
-    let separator = |c: char| c == ',' || c == ';' || c == '_' || c == '-' || c == '|' || c == ':' || c.is_whitespace();
+    let separator =
+        |c: char| c == ',' || c == ';' || c == '_' || c == '-' || c == '|' || c == ':' || c.is_whitespace();
     let name = without_numbers(rest.trim_start_matches(separator));
     (Some(id), if name.is_empty() { id } else { name })
+}
+
+/// The first number behind the name in a label, `SurfNo`, which tells mirrored copies apart; empty if there is none.
+pub(crate) fn copy_number(label: &str) -> &str {
+    let name = split_label(label).1;
+    let Some(start) = label.find(name).filter(|_| !name.is_empty()) else { return "" };
+    let rest = label[start + name.len()..].trim_start_matches(|c: char| !c.is_ascii_digit());
+    &rest[..rest.find(|c: char| !c.is_ascii_digit()).unwrap_or(rest.len())]
 }
 
 /// A label without the numbers and sides at its end: `Wing, 0, 12, lower` is `Wing`.
@@ -82,5 +91,7 @@ mod tests {
         ] {
             assert_eq!(split_label(label), (id, name), "{label}");
         }
+        assert_eq!(copy_number("Surf_TUAJTXHIWP, Wing 2, 1, 12, lower"), "1");
+        assert_eq!(copy_number("WING"), "");
     }
 }

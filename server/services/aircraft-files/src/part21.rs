@@ -58,7 +58,8 @@ impl<'a> Exchange<'a> {
             let statement = text[start..end].trim_end();
             if statement == "ENDSEC" {
                 data = false;
-            } else if statement == "DATA" || statement.starts_with("DATA(") || statement.starts_with("DATA ") {
+            } else if statement == "DATA" || statement.starts_with("DATA(") || statement.starts_with("DATA ")
+            {
                 data = true;
             } else if data {
                 let mut inner = Cursor { text: &text[..end], at: start };
@@ -360,7 +361,9 @@ mod tests {
 
     #[test]
     fn every_kind_of_parameter() {
-        let text = file("/* a;'b */ #1 = POINT('it''s; /*',(1.,-.5E1 , 3),.T.,$,*,#2,LENGTH(2.5));\n#2=(A()\nB(1));");
+        let text = file(
+            "/* a;'b */ #1 = POINT('it''s; /*',(1.,-.5E1 , 3),.T.,$,*,#2,LENGTH(2.5));\n#2=(A()\nB(1));",
+        );
         let exchange = Exchange::scan(&text, &ImportLimits::default()).expect("a file");
         let [record] = &exchange.records(1).expect("an instance")[..] else { panic!("one record") };
         use Value::*;
@@ -391,7 +394,10 @@ mod tests {
         assert_eq!(fails("#1=A(1);\n#1=B(2);"), "line 6: #1 is defined twice");
         assert_eq!(fails("#1=A(NaN);"), "line 5: expected (, found ')'");
         assert_eq!(fails("#1=A(1e999);"), "line 5: expected a parameter, found '1e999)'");
-        assert_eq!(fails(&format!("#1=A{};", "(".repeat(100_000))), "line 5: lists are nested more than 16 deep");
+        assert_eq!(
+            fails(&format!("#1=A{};", "(".repeat(100_000))),
+            "line 5: lists are nested more than 16 deep"
+        );
         assert_eq!(fails("#2=A(1);"), "#1 is referred to, and missing in the file: export it again");
     }
 }

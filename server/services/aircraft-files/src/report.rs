@@ -92,7 +92,12 @@ impl fmt::Display for ImportReport {
                 }
             }
             Some(unit) => {
-                writeln!(f, "unit          {} m, as asked for: {} (x, y, z)", self.metres_per_unit, size(1.0))?;
+                writeln!(
+                    f,
+                    "unit          {} m, as asked for: {} (x, y, z)",
+                    self.metres_per_unit,
+                    size(1.0)
+                )?;
                 let scale = unit.metres / self.metres_per_unit;
                 writeln!(f, "              the file says {}, which would be {}", unit.label, size(scale))?;
             }
@@ -104,7 +109,11 @@ impl fmt::Display for ImportReport {
         writeln!(f, "components    {}", self.components.len())?;
         for c in &self.components {
             let [x, y, z] = [0, 1, 2].map(|k| c.high[k] - c.low[k]);
-            writeln!(f, "  {} ({}, {}): closed, {:.3} x {:.3} x {:.3} m, wetted {:.3} m^2, volume {:.4} m^3", c.name, c.id, c.shape, x, y, z, c.area, c.volume)?;
+            writeln!(
+                f,
+                "  {} ({}, {}): closed, {:.3} x {:.3} x {:.3} m, wetted {:.3} m^2, volume {:.4} m^3",
+                c.name, c.id, c.shape, x, y, z, c.area, c.volume
+            )?;
             write!(f, "    {} patches of {} in the file", c.patches, c.patches_in_file)?;
             if c.sets > 1 {
                 write!(f, ", {} copies", c.sets)?;
@@ -112,7 +121,11 @@ impl fmt::Display for ImportReport {
             if c.shells > 1 {
                 write!(f, ", {} shells", c.shells)?;
             }
-            writeln!(f, "; {} smooth pieces of {} ({} knots out, surface changed by {:.0e} m)", c.pieces, c.pieces_in_file, c.knots_removed, c.removal_change)?;
+            writeln!(
+                f,
+                "; {} smooth pieces of {} ({} knots out, surface changed by {:.0e} m)",
+                c.pieces, c.pieces_in_file, c.knots_removed, c.removal_change
+            )?;
             if c.weld > 0.0 {
                 writeln!(f, "    gaps closed by moves up to {:.1e} m", c.weld)?;
             }

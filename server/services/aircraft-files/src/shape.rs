@@ -11,7 +11,7 @@ const THICKNESS: f64 = 0.4;
 /// A wing's side is at least this long, relative to its mean chord.
 const SPAN: f64 = 0.6;
 /// A body is at least this long, relative to its larger width.
-const FINENESS: f64 = 1.5;
+const FINENESS: f64 = 1.2;
 
 /// What a component is.
 #[derive(Debug, Clone, PartialEq)]
@@ -98,7 +98,8 @@ fn wing(samples: &Samples, span_axis: usize) -> Option<Wing> {
     }
     let chords = sections.iter().map(|(low, high)| high.x - low.x);
     let mean_chord = chords.sum::<f64>() / SECTIONS as f64;
-    let ratio = |(low, high): &(Vector3, Vector3)| (high[thickness_axis] - low[thickness_axis]) / (high.x - low.x);
+    let ratio =
+        |(low, high): &(Vector3, Vector3)| (high[thickness_axis] - low[thickness_axis]) / (high.x - low.x);
     let mut ratios: Vec<f64> = sections.iter().map(ratio).collect();
     ratios.sort_by(f64::total_cmp);
     let thick = ratios[SECTIONS / 2];

@@ -1,6 +1,7 @@
 //! STEP files to surfaces: units, sets of loose surfaces (OpenVSP's layout), solids and shells.
 
 mod entity;
+mod face;
 mod spline;
 mod unit;
 
@@ -56,7 +57,13 @@ pub(crate) fn read(text: &str, limits: &ImportLimits) -> Result<Model, ImportErr
         let solid = format!("#{shell} {}", exchange.keyword(shell));
         return Err(ImportError::Hybrid { set: set.name.clone(), solid });
     }
-    let sets = if !loose.is_empty() { loose } else { ungrouped(&exchange, &mut budget)? };
+    let sets = if !loose.is_empty() {
+        loose
+    } else if !shells.is_empty() {
+        face::shells(&exchange, &shells, &mut budget)?
+    } else {
+        ungrouped(&exchange, &mut budget)?
+    };
     Ok(Model { unit: unit::length_unit(&exchange)?, sets })
 }
 

@@ -55,7 +55,11 @@ pub(crate) fn weld(patches: &mut [PatchInput], tolerance: f64) -> f64 {
             unite(&mut clusters, sides[i].points[k], sides[j].points[if reversed { n - 1 - k } else { k }]);
         }
     }
-    let moved = move_to_middle(&mut points, &mut clusters, tolerance);
+    let extents: Vec<f64> = patches
+        .iter()
+        .flat_map(|patch| std::iter::repeat_n(extent_of(&patch.control_points), patch.control_points.len()))
+        .collect();
+    let moved = close_clusters(&mut points, &extents, &mut clusters, tolerance);
     let mut rest = &points[..];
     for patch in patches {
         let (own, others) = rest.split_at(patch.control_points.len());
@@ -107,11 +111,20 @@ fn gap(a: &Side, b: &Side, points: &[[f64; 3]], tolerance: f64) -> Option<(f64, 
         .min_by(|a, b| a.0.total_cmp(&b.0))
 }
 
-/// Moves each cluster to the middle of its box, which does not depend on order, and is mirrored as the points are.
-fn move_to_middle(points: &mut [[f64; 3]], clusters: &mut [usize], tolerance: f64) -> f64 {
+/// Moves each cluster to its points of the largest patch (a cap follows the skin, which stays smooth), or to the middle of the
+/// box around those of several. That does not depend on order, and is mirrored as the points are.
+fn close_clusters(points: &mut [[f64; 3]], extents: &[f64], clusters: &mut [usize], tolerance: f64) -> f64 {
+    let mut largest = vec![0.0_f64; points.len()];
+    for i in 0..points.len() {
+        let root = find(clusters, i);
+        largest[root] = largest[root].max(extents[i]);
+    }
     let mut boxes: Vec<Option<[[f64; 3]; 2]>> = vec![None; points.len()];
     for i in 0..points.len() {
         let root = find(clusters, i);
+        if extents[i] < (1.0 - 1e-6) * largest[root] {
+            continue;
+        }
         let p = points[i];
         let [low, high] = boxes[root].get_or_insert([p, p]);
         for d in 0..3 {
@@ -122,14 +135,25 @@ fn move_to_middle(points: &mut [[f64; 3]], clusters: &mut [usize], tolerance: f6
     let mut moved = 0.0_f64;
     for i in 0..points.len() {
         let Some([low, high]) = boxes[find(clusters, i)] else { continue };
-        if low == high || distance(&low, &high) > 2.0 * tolerance {
-            continue;
-        }
         let middle = [0, 1, 2].map(|d| low[d] + 0.5 * (high[d] - low[d]));
-        moved = moved.max(distance(&middle, &points[i]));
-        points[i] = middle;
+        let distance = distance(&middle, &points[i]);
+        if distance <= 2.0 * tolerance {
+            moved = moved.max(distance);
+            points[i] = middle;
+        }
     }
     moved
+}
+
+/// Diagonal of the box around points.
+fn extent_of(points: &[[f64; 3]]) -> f64 {
+    let side = |d: usize| {
+        let (low, high) = points
+            .iter()
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), p| (low.min(p[d]), high.max(p[d])));
+        high - low
+    };
+    (0..3).map(|d| side(d).powi(2)).sum::<f64>().sqrt()
 }
 
 fn distance(a: &[f64; 3], b: &[f64; 3]) -> f64 {

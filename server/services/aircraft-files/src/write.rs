@@ -53,9 +53,17 @@ pub(crate) fn files(title: &str, components: &[(Assembled, Block)]) -> Files {
     for (component, _) in components {
         let name = &component.name;
         let path = format!("geometry/{name}.json");
-        let _ = write!(text, "\n[[components]]\nname = \"{name}\" # {} in the file\nfile = \"{path}\"\n", component.id);
+        let _ = write!(
+            text,
+            "\n[[components]]\nname = \"{name}\" # {} in the file\nfile = \"{path}\"\n",
+            component.id
+        );
         if component.edge_tolerance > 1e-7 {
-            let _ = writeln!(text, "edge_tolerance = {:e} # edges of its patches have gaps", component.edge_tolerance);
+            let _ = writeln!(
+                text,
+                "edge_tolerance = {:e} # edges of its patches have gaps",
+                component.edge_tolerance
+            );
         }
         files.insert(path, geometry(component));
     }
@@ -86,8 +94,10 @@ fn geometry(component: &Assembled) -> Vec<u8> {
             weights: patch.weights.as_ref().map(|w| w.chunks(n_v).map(<[_]>::to_vec).collect()),
         }
     };
-    let document =
-        GeometryDocument { name: Some(component.name.clone()), patches: component.patches.iter().map(patch).collect() };
+    let document = GeometryDocument {
+        name: Some(component.name.clone()),
+        patches: component.patches.iter().map(patch).collect(),
+    };
     // Numbers and texts can always be written.
     serde_json::to_vec(&document).unwrap_or_default()
 }
@@ -102,7 +112,10 @@ fn reference(component: &Assembled) -> ComponentReference {
         control_points: patch.control_points.clone(),
         weights: patch.weights.clone().unwrap_or_default(),
     };
-    ComponentReference { name: component.name.clone(), patches: component.patches.iter().map(patch).collect() }
+    ComponentReference {
+        name: component.name.clone(),
+        patches: component.patches.iter().map(patch).collect(),
+    }
 }
 
 /// Writes the variables and operations of a component.
@@ -136,7 +149,9 @@ impl<'n> Writer<'n> {
 
     fn operation(&mut self, kind: &str, lines: &str) {
         let name = self.name;
-        self.line(&format!("\n[[parameterisation.operations]]\ntype = \"{kind}\"\ncomponents = [\"{name}\"]\n{lines}"));
+        self.line(&format!(
+            "\n[[parameterisation.operations]]\ntype = \"{kind}\"\ncomponents = [\"{name}\"]\n{lines}"
+        ));
     }
 
     fn wing(&mut self, wing: &Wing) {
@@ -151,10 +166,28 @@ impl<'n> Writer<'n> {
         let span_stations = [if *symmetric { STATIONS - 1 } else { STATIONS }];
         let rows = [ROWS - 2, STATIONS];
         self.variable("twist", "root to tip, leading edge up", &stations, "deg", [-5.0, 5.0]);
-        self.variable("camber", &format!("rows from leading to trailing edge, moved {up}, of the local chord"), &rows, "percent", [-3.0, 3.0]);
-        self.variable("thickness", "rows from leading to trailing edge, of the local chord", &rows, "percent", [-2.0, 2.0]);
+        self.variable(
+            "camber",
+            &format!("rows from leading to trailing edge, moved {up}, of the local chord"),
+            &rows,
+            "percent",
+            [-3.0, 3.0],
+        );
+        self.variable(
+            "thickness",
+            "rows from leading to trailing edge, of the local chord",
+            &rows,
+            "percent",
+            [-2.0, 2.0],
+        );
         self.variable("chord", "root to tip, added to the local chord", &stations, "percent", [-20.0, 20.0]);
-        self.variable("sections", "root to tip, sections moved outward", &span_stations, "m", [-0.05 * half, 0.05 * half]);
+        self.variable(
+            "sections",
+            "root to tip, sections moved outward",
+            &span_stations,
+            "m",
+            [-0.05 * half, 0.05 * half],
+        );
         self.variable("area", "planform, through other components", &[], "m^2", [0.8 * area, 1.25 * area]);
         let aspect_ratio = span * span / area;
         self.variable("aspect_ratio", "span^2 / area", &[], "1", [0.8 * aspect_ratio, 1.25 * aspect_ratio]);
@@ -191,8 +224,16 @@ impl<'n> Writer<'n> {
         let Long { axis, start, end, diameter, single } = *body;
         let label = ["x", "y", "z"][axis];
         let length = end - start;
-        self.line(&format!("\n# ---- {name}: a body along {label}, {length:.4} m long, {diameter:.4} m wide ----"));
-        self.variable("length", "how far both ends move along the axis", &[2], "m", [-0.1 * length, 0.1 * length]);
+        self.line(&format!(
+            "\n# ---- {name}: a body along {label}, {length:.4} m long, {diameter:.4} m wide ----"
+        ));
+        self.variable(
+            "length",
+            "how far both ends move along the axis",
+            &[2],
+            "m",
+            [-0.1 * length, 0.1 * length],
+        );
         self.operation(
             "free_form",
             &format!(
@@ -200,7 +241,9 @@ impl<'n> Writer<'n> {
             ),
         );
         if single {
-            self.text += &format!("\n[[parameterisation.variables]]\nname = \"{name}.diameter\" # scales with value / baseline\nunit = \"m\"\n");
+            self.text += &format!(
+                "\n[[parameterisation.variables]]\nname = \"{name}.diameter\" # scales with value / baseline\nunit = \"m\"\n"
+            );
             let [baseline, lower, upper] = [diameter, 0.8 * diameter, 1.25 * diameter].map(rounded);
             self.text += &format!("baseline = {baseline}\nlower = {lower}\nupper = {upper}\n");
             self.variables += 1;
@@ -221,7 +264,10 @@ impl<'n> Writer<'n> {
             [("aft", "position", "[1, 0, 0]"), ("up", "position", "[0, 0, 1]")]
         {
             self.variable(variable, comment, &[], "m", [-reach, reach]);
-            self.operation("translation", &format!("direction = {direction}\nvariable = \"{name}.{variable}\""));
+            self.operation(
+                "translation",
+                &format!("direction = {direction}\nvariable = \"{name}.{variable}\""),
+            );
         }
     }
 }

@@ -49,7 +49,11 @@ impl<'e, 'a> Entity<'e, 'a> {
         format!("#{} {}", self.number, self.records.first().map_or("", |r| r.keyword))
     }
 
-    pub(super) fn value<'r>(&self, record: &'r Record<'a>, index: usize) -> Result<&'r Value<'a>, ImportError> {
+    pub(super) fn value<'r>(
+        &self,
+        record: &'r Record<'a>,
+        index: usize,
+    ) -> Result<&'r Value<'a>, ImportError> {
         record.parameters.get(index).ok_or_else(|| {
             let count = record.parameters.len();
             self.error(format!("{} has {count} parameters, too few", record.keyword))
@@ -65,7 +69,11 @@ impl<'e, 'a> Entity<'e, 'a> {
         }
     }
 
-    pub(super) fn list<'r>(&self, record: &'r Record<'a>, index: usize) -> Result<&'r [Value<'a>], ImportError> {
+    pub(super) fn list<'r>(
+        &self,
+        record: &'r Record<'a>,
+        index: usize,
+    ) -> Result<&'r [Value<'a>], ImportError> {
         match self.value(record, index)? {
             Value::List(list) => Ok(list),
             other => Err(self.wrong(record, index, "a list", other)),

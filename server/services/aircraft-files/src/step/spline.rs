@@ -1,21 +1,19 @@
 //! B-spline surfaces of STEP files, rational or not.
 
+use moldline_foundation::Vector3;
 use moldline_geometry::PatchInput;
-use moldline_spline::{KnotVector, MAX_DEGREE};
+use moldline_spline::{Curve, KnotVector, MAX_DEGREE};
 
 use super::{Budget, entity::Entity};
 use crate::{
     error::ImportError,
+    knots::with_clamped_ends,
     part21::{Record, Value},
 };
 
 /// Types of B-spline surfaces.
-pub(super) const SPLINES: [&str; 4] = [
-    "B_SPLINE_SURFACE_WITH_KNOTS",
-    "BEZIER_SURFACE",
-    "QUASI_UNIFORM_SURFACE",
-    "UNIFORM_SURFACE",
-];
+pub(super) const SPLINES: [&str; 4] =
+    ["B_SPLINE_SURFACE_WITH_KNOTS", "BEZIER_SURFACE", "QUASI_UNIFORM_SURFACE", "UNIFORM_SURFACE"];
 
 /// Where the attributes of a B-spline surface stand: all in one record behind the name, or in records of their own.
 struct Layout<'r, 'a> {
@@ -33,7 +31,13 @@ impl<'r, 'a> Layout<'r, 'a> {
             let keyword = SPLINES.into_iter().find(|k| surface.is(k)).unwrap_or(KNOTS);
             let basis = surface.record(keyword)?;
             let name = surface.text(basis, 0)?;
-            return Ok(Self { name, basis, first: 1, knots: (keyword == KNOTS).then_some((basis, 8)), weights: None });
+            return Ok(Self {
+                name,
+                basis,
+                first: 1,
+                knots: (keyword == KNOTS).then_some((basis, 8)),
+                weights: None,
+            });
         }
         let name = match surface.record("REPRESENTATION_ITEM") {
             Ok(item) => surface.text(item, 0)?,
@@ -46,7 +50,10 @@ impl<'r, 'a> Layout<'r, 'a> {
 }
 
 /// Reads a B-spline surface.
-pub(super) fn spline_surface(surface: &Entity<'_, '_>, budget: &mut Budget<'_>) -> Result<PatchInput, ImportError> {
+pub(super) fn spline_surface(
+    surface: &Entity<'_, '_>,
+    budget: &mut Budget<'_>,
+) -> Result<PatchInput, ImportError> {
     let Layout { name, basis, first, knots, weights } = Layout::of(surface)?;
     let degree = |index| surface.count(surface.value(basis, first + index)?, MAX_DEGREE);
     let (degree_u, degree_v) = (degree(0)?, degree(1)?);
@@ -66,7 +73,8 @@ pub(super) fn spline_surface(surface: &Entity<'_, '_>, budget: &mut Budget<'_>) 
             return Err(surface.error("control points must be a list of lists".into()));
         };
         if row.len() != n_v {
-            let message = format!("row {} has {} control points, and the first has {n_v}", index + 1, row.len());
+            let message =
+                format!("row {} has {} control points, and the first has {n_v}", index + 1, row.len());
             return Err(surface.error(message));
         }
         for point in row {
@@ -84,7 +92,7 @@ pub(super) fn spline_surface(surface: &Entity<'_, '_>, budget: &mut Budget<'_>) 
         None => (implied(surface, degree_u, n_u)?, implied(surface, degree_v, n_v)?),
     };
     let valid = |direction, degree, knots| {
-        KnotVector::new(degree, knots).map_err(|source| ImportError::Knots {
+        KnotVector::new(degree, with_clamped_ends(degree, knots)).map_err(|source| ImportError::Knots {
             entity: surface.label(),
             line: surface.line(),
             direction,
@@ -99,6 +107,52 @@ pub(super) fn spline_surface(surface: &Entity<'_, '_>, budget: &mut Budget<'_>) 
         control_points,
         weights,
     })
+}
+
+/// A B-spline curve with its control points.
+pub(super) struct SplineCurve {
+    pub(super) knots: KnotVector,
+    curve: Curve,
+    control_points: Vec<[f64; 4]>,
+}
+
+impl SplineCurve {
+    pub(super) fn position(&self, t: f64) -> Vector3 {
+        self.curve.position(&self.control_points, t)
+    }
+}
+
+/// Reads a B-spline curve with knots.
+pub(super) fn spline_curve(entity: &Entity<'_, '_>) -> Result<SplineCurve, ImportError> {
+    let knots = entity.record("B_SPLINE_CURVE_WITH_KNOTS")?;
+    let simple = entity.is_simple();
+    let (basis, first, at) = if simple { (knots, 1, 6) } else { (entity.record("B_SPLINE_CURVE")?, 0, 0) };
+    let degree = entity.count(entity.value(basis, first)?, MAX_DEGREE)?;
+    let mut control_points = Vec::new();
+    for point in entity.list(basis, first + 1)? {
+        let Value::Reference(point) = point else {
+            return Err(entity.error("control points must be references".into()));
+        };
+        let [x, y, z] = entity.at(*point)?.coordinates("CARTESIAN_POINT")?;
+        control_points.push([x, y, z, 1.0]);
+    }
+    if let Ok(record) = entity.record("RATIONAL_B_SPLINE_CURVE") {
+        let weights = entity.numbers(record, 0)?;
+        if weights.len() != control_points.len() || weights.iter().any(|w| !(1e-9..=1e9).contains(w)) {
+            return Err(
+                entity.error("needs a positive weight for each control point, from 1e-9 to 1e9".into())
+            );
+        }
+        for (point, w) in control_points.iter_mut().zip(weights) {
+            *point = [w * point[0], w * point[1], w * point[2], w];
+        }
+    }
+    let knots = expand(entity, knots, at, at + 1, degree, control_points.len())?;
+    let knots = KnotVector::new(degree, with_clamped_ends(degree, knots)).map_err(|source| {
+        ImportError::Knots { entity: entity.label(), line: entity.line(), direction: 't', source }
+    })?;
+    let curve = Curve::for_control_points(knots.clone(), &control_points);
+    Ok(SplineCurve { knots, curve, control_points })
 }
 
 /// Knots by their multiplicities.
@@ -141,8 +195,9 @@ fn implied(surface: &Entity<'_, '_>, degree: usize, control_points: usize) -> Re
         return Ok((0..control_points + degree + 1).map(|k| k as f64 - degree as f64).collect());
     }
     if surface.is("BEZIER_SURFACE") {
-        if (control_points - 1) % degree != 0 {
-            return Err(surface.error(format!("{control_points} control points make no Bezier pieces of degree {degree}")));
+        if !(control_points - 1).is_multiple_of(degree) {
+            return Err(surface
+                .error(format!("{control_points} control points make no Bezier pieces of degree {degree}")));
         }
         let pieces = (control_points - 1) / degree;
         let inner = (0..=pieces).flat_map(|k| std::iter::repeat_n(k as f64, degree));
@@ -160,12 +215,16 @@ fn read_weights(
     let rows = surface.list(record, 0)?;
     let mut weights = Vec::with_capacity(n_u * n_v);
     for row in rows {
-        let Value::List(row) = row else { return Err(surface.error("weights must be a list of lists".into())) };
+        let Value::List(row) = row else {
+            return Err(surface.error("weights must be a list of lists".into()));
+        };
         for weight in row {
             match weight {
                 Value::Number(weight) if (1e-9..=1e9).contains(weight) => weights.push(*weight),
                 other => {
-                    return Err(surface.error(format!("a weight is {other:?}; weights must be positive, from 1e-9 to 1e9")));
+                    return Err(surface.error(format!(
+                        "a weight is {other:?}; weights must be positive, from 1e-9 to 1e9"
+                    )));
                 }
             }
         }
