@@ -5,6 +5,7 @@ use std::{io, path::PathBuf};
 use moldline_aircraft_files::ImportError;
 use moldline_check::CheckError;
 use moldline_host::ServiceError;
+use moldline_mesh::io::Format;
 
 use crate::{shell::ServeError, status::StatusError};
 
@@ -43,6 +44,12 @@ pub enum Failure {
     #[error("{} exists; import into another folder, or give --force to replace it", path.display())]
     Exists {
         /// The set-up file.
+        path: PathBuf,
+    },
+    /// A file to write whose ending is none of a format.
+    #[error("{}: its ending is none of a format that can be written; name a {} file", path.display(), Format::ENDINGS)]
+    OutputFormat {
+        /// The file.
         path: PathBuf,
     },
     /// The design file has another content.

@@ -15,6 +15,7 @@ mod grpc;
 mod http;
 mod import;
 mod local;
+mod machine;
 mod output;
 pub mod panel;
 #[cfg(feature = "plot")]
@@ -50,6 +51,7 @@ pub fn run(command: Command) -> Result<(), Failure> {
         Command::Setup(options) => setup::report(&options),
         Command::Check(options) => check::run(&options),
         Command::Schema(options) => setup::schema(&options),
+        Command::Completions(options) => cli::completions(&options),
         Command::Store(options) => store::run(&options),
     }
 }

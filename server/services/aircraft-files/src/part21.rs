@@ -1,6 +1,6 @@
 //! The text of STEP files, ISO 10303-21: instances `#12=KEYWORD(...);` by number.
 //!
-//! [`Exchange::scan`] finds where each instance stands, in one pass over the text; [`Exchange::records`] parses one when it
+//! `Exchange::scan` finds where each instance stands, in one pass over the text; `Exchange::records` parses one when it
 //! is needed. So memory goes with the number of instances, not with what they hold.
 
 use std::{borrow::Cow, collections::HashMap, ops::Range};

@@ -53,6 +53,13 @@ fn text<'a>(file: &str, bytes: &'a [u8]) -> Result<&'a str, SetupFileError> {
 }
 
 fn parse_toml<T: DeserializeOwned>(file: &str, bytes: &[u8]) -> Result<T, SetupFileError> {
+    /// The tree of a TOML document takes many times its bytes; JSON is read without one.
+    const LARGEST: usize = 16 << 20;
+    if bytes.len() > LARGEST {
+        let (field, count, limit) = (file.to_owned(), bytes.len() as u64, LARGEST as u64);
+        let what = "bytes of TOML (write JSON, or put the numbers into files of their own)";
+        return Err(SetupFileError::TooMany { field, what, count, limit });
+    }
     let syntax =
         |field: String, message: String| SetupFileError::Syntax { file: file.into(), field, message };
     let deserializer = toml::Deserializer::parse(text(file, bytes)?)
