@@ -6,6 +6,7 @@ use crate::{
     check::CheckOptions,
     deform::DeformOptions,
     failure::Failure,
+    import::ImportCommand,
     output::say,
     panel::{analyze::AnalyzeOptions, serve::PanelServeOptions},
     serve::ServeOptions,
@@ -42,6 +43,8 @@ pub enum Command {
     Token(TokenOptions),
     /// Deform the mesh of a set-up on this machine and write it as VTU, MSH or STL
     Deform(DeformOptions),
+    /// Make a set-up of an aircraft file: STEP or IGES, untrimmed
+    Import(ImportCommand),
     /// Build a set-up on this machine and print its report
     Setup(SetupOptions),
     /// Check the derivatives of a set-up against their transposes, dual numbers and central differences

@@ -2,6 +2,7 @@
 
 use std::{io, path::PathBuf};
 
+use moldline_aircraft_files::ImportError;
 use moldline_check::CheckError;
 use moldline_host::ServiceError;
 use moldline_mesh::io::Format;
@@ -30,6 +31,20 @@ pub enum Failure {
         path: PathBuf,
         /// The cause.
         error: io::Error,
+    },
+    /// An aircraft file is refused.
+    #[error("{}: {error}", path.display())]
+    Import {
+        /// The file.
+        path: PathBuf,
+        /// The cause.
+        error: ImportError,
+    },
+    /// A set-up is in the way.
+    #[error("{} exists; import into another folder, or give --force to replace it", path.display())]
+    Exists {
+        /// The set-up file.
+        path: PathBuf,
     },
     /// A file to write whose ending is none of a format.
     #[error("{}: its ending is none of a format that can be written; name a {} file", path.display(), Format::ENDINGS)]

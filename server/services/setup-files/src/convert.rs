@@ -19,7 +19,7 @@ use crate::document::{
 };
 use crate::files::{Files, Limits, clean_path, find_setup_file, names};
 use crate::outputs::output;
-use crate::parse::{parse_geometry, parse_setup};
+use crate::parse::{parse_geometry, parse_parameterisation, parse_setup};
 use crate::{SetupFileError, document};
 
 /// Longest name of a set-up, component, patch, group or variable, bytes.
@@ -96,6 +96,19 @@ pub fn read_setup(
         mesh_file: mesh_file.map(|file| (file, unit)),
         files: reader.used,
     })
+}
+
+/// Whether the engine accepts the design variables and operations of a set-up file for these components. `text` is
+/// TOML with nothing but its `parameterisation`.
+///
+/// # Errors
+/// The first thing that is wrong.
+pub fn check_parameterisation(text: &str, components: &[ComponentReference]) -> Result<(), SetupFileError> {
+    let document = parse_parameterisation(text)?;
+    let variables: Vec<_> = document.variables.into_iter().map(variable).collect();
+    let operations: Vec<_> = document.operations.into_iter().map(operation).collect();
+    Parameterisation::new(components, &variables, &operations)?;
+    Ok(())
 }
 
 /// Refuses names that no table, log line or header has room for.

@@ -3,7 +3,7 @@
 use serde::de::DeserializeOwned;
 
 use crate::SetupFileError;
-use crate::document::{GeometryDocument, SetupDocument};
+use crate::document::{GeometryDocument, ParameterisationDocument, SetupDocument};
 
 /// Parses a set-up file; the ending of its name decides between TOML and JSON.
 pub(crate) fn parse_setup(file: &str, bytes: &[u8]) -> Result<SetupDocument, SetupFileError> {
@@ -22,6 +22,17 @@ pub(crate) fn parse_geometry(
     bytes: &[u8],
 ) -> Result<GeometryDocument, SetupFileError> {
     parse_json(file, field, bytes)
+}
+
+/// Parses a set-up file that has a parameterisation only.
+pub(crate) fn parse_parameterisation(text: &str) -> Result<ParameterisationDocument, SetupFileError> {
+    #[derive(serde::Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Part {
+        #[serde(default)]
+        parameterisation: ParameterisationDocument,
+    }
+    parse_toml::<Part>("parameterisation", text.as_bytes()).map(|part| part.parameterisation)
 }
 
 /// Files that a document names, with the paths of the fields.
