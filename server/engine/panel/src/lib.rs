@@ -65,9 +65,11 @@
 //! ```
 
 mod bounds;
+mod closing;
 mod clusters;
 mod coefficients;
 mod distributions;
+mod doubt;
 mod error;
 mod flow;
 mod gradient;
@@ -86,12 +88,14 @@ mod stage;
 mod state;
 mod surface;
 mod symmetry;
+mod thin;
 mod trefftz;
 mod wake;
 mod wake_force;
 mod wind;
 
 pub use coefficients::Scalars;
+pub use doubt::{Check, OnDoubt, Warning};
 pub use error::PanelError;
 pub use flow::{Flow, Reference};
 pub use linearisation::{Inputs, Linearisation, Outputs};
@@ -100,3 +104,4 @@ pub use options::{Options, Solver, Symmetry, TrailingEdges};
 pub use panel_setup::{PanelSetup, SetupSummary, memory_estimate};
 pub use solution::{Analysis, Loads, MAX_MACH, Section, Solution};
 pub use stage::Stage;
+pub use wake::{EdgeLine, LeftOut, NearPass, Reason};

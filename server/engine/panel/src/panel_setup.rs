@@ -1,12 +1,14 @@
 //! The set-up of a mesh: all decisions that hold for any positions of its vertices.
 
-use moldline_mesh::SurfaceMesh;
+use moldline_mesh::{SurfaceMesh, Vector3};
 
 use crate::{
-    Options, PanelError, Solver,
+    EdgeLine, LeftOut, Options, PanelError, Solver, TrailingEdges, Warning,
     bounds::within,
+    doubt,
     gradient::Stencils,
     panels::Panels,
+    thin,
     trefftz::Trace,
     wake::{Beside, Wakes},
 };
@@ -31,6 +33,9 @@ pub struct PanelSetup {
     pub(crate) options: Options,
     /// Cells at each mesh vertex, over which its pressure is averaged.
     pub(crate) vertex_cells: moldline_mesh::Csr,
+    /// Lines of trailing edges, and warnings, for the report.
+    lines: Vec<EdgeLine>,
+    warnings: Vec<Warning>,
 }
 
 /// The decisions of a set-up.
@@ -42,8 +47,18 @@ pub struct SetupSummary {
     pub symmetric: bool,
     /// Trailing edges, as mesh vertices, along each line; of the solved half.
     pub trailing_edges: Vec<[u32; 2]>,
+    /// Lines of trailing edges, the longest first; of the solved half.
+    pub lines: Vec<EdgeLine>,
+    /// Lines that look like trailing edges but were not taken as such, and why; the longest of each reason first.
+    pub left_out: Vec<LeftOut>,
+    /// Cells that are no panels: bases of blunt trailing edges, which are closed.
+    pub closed_cells: Vec<u32>,
+    /// Reasons to doubt the set-up.
+    pub warnings: Vec<Warning>,
     /// Vertices where a trailing edge ends on a body, over which its circulation goes on.
     pub roots: Vec<u32>,
+    /// For each of them the vertex at the body's aft end where that circulation leaves it.
+    pub aft_ends: Vec<u32>,
     /// How the system is solved.
     pub solver: Solver,
     /// Bytes that a solution needs.
@@ -57,7 +72,7 @@ impl PanelSetup {
     /// [`PanelError`] for meshes that are open, not oriented, without trailing edges, too large for the memory allowed, ...
     pub fn new(mesh: &SurfaceMesh, options: Options) -> Result<Self, PanelError> {
         within("options.tolerance", options.tolerance, 1e-14, 1e-4)?;
-        let panels = Panels::new(mesh, options.symmetry)?;
+        let panels = Panels::new(mesh, options.symmetry, &options.trailing_edges)?;
         let needed = memory(panels.len(), panels.vertex_of.len(), options.solver);
         if needed > options.memory_limit {
             return Err(PanelError::Memory {
@@ -72,22 +87,40 @@ impl PanelSetup {
         let trace = Trace::new(&panels, &wakes);
         let components = components(mesh, &panels, &options)?;
         let vertex_cells = moldline_mesh::Topology::new(mesh).vertex_cells;
-        let setup = Self { panels, wakes, stencils, trace, components, options, vertex_cells };
+        let points = panels.gather(&mesh.vertices);
+        let lines = wakes.lines(&panels, &points);
+        let mut warnings = Vec::new();
+        if options.trailing_edges != TrailingEdges::None {
+            warnings.extend(thin::without_wake(&panels, &points, &wakes.trailing));
+            let [low, high] = mesh.bounds();
+            let extent = (Vector3::from(high) - Vector3::from(low)).norm();
+            warnings.extend(doubt::suspicious(&wakes.left_out, extent));
+        }
+        let setup =
+            Self { lines, warnings, panels, wakes, stencils, trace, components, options, vertex_cells };
         Ok(setup)
     }
 
     /// The decisions of the set-up.
     pub fn summary(&self) -> SetupSummary {
         let vertex = |point: u32| self.panels.vertex_of[point as usize];
-        let roots = self.wakes.strips.iter().flat_map(|s| {
-            let ends = [s.a, s.b].into_iter().zip(s.beside);
-            ends.filter(|(_, beside)| matches!(beside, Beside::Body(_))).map(|(point, _)| vertex(point))
+        let carried = self.wakes.strips.iter().flat_map(|s| {
+            [s.a, s.b].into_iter().zip(s.beside).filter_map(|(root, beside)| match beside {
+                Beside::Body(end) => Some((vertex(root), vertex(end))),
+                _ => None,
+            })
         });
+        let (roots, aft_ends) = carried.unzip();
         SetupSummary {
             unknowns: self.panels.len(),
             symmetric: self.panels.symmetric,
             trailing_edges: self.wakes.strips.iter().map(|s| [vertex(s.a), vertex(s.b)]).collect(),
-            roots: roots.collect(),
+            lines: self.lines.clone(),
+            left_out: self.wakes.left_out.clone(),
+            closed_cells: self.panels.closing.closed(),
+            warnings: self.warnings.clone(),
+            roots,
+            aft_ends,
             solver: self.options.solver.resolve(self.panels.len()),
             memory: memory(self.panels.len(), self.panels.vertex_of.len(), self.options.solver),
         }
@@ -122,7 +155,7 @@ fn components(mesh: &SurfaceMesh, panels: &Panels, options: &Options) -> Result<
             known: mesh.cell_groups.iter().map(|g| g.name.clone()).collect(),
         })?;
         let (mut own, mut mirrored) = (Vec::new(), Vec::new());
-        for &cell in &group.indices {
+        for &cell in group.indices.iter().filter(|cell| !panels.closing.closes(**cell)) {
             let (panel, image) = panels.panel_of[cell as usize];
             if image { mirrored.push(panel) } else { own.push(panel) }
         }

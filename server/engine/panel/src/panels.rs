@@ -3,7 +3,8 @@
 use moldline_mesh::{Cell, Limits, Plane, SurfaceMesh, Topology, Vector3, topology::enclosed_volume};
 
 use crate::{
-    PanelError, Symmetry,
+    PanelError, Symmetry, TrailingEdges,
+    closing::Closing,
     clusters::Patch,
     symmetry::{Partners, SYMMETRY_TOLERANCE, mirrored},
 };
@@ -48,11 +49,17 @@ pub(crate) struct Panels {
     pub partner: Option<Vec<u32>>,
     /// Number of mesh vertices.
     pub vertices: usize,
+    /// Blunt trailing edges of the mesh, which are closed.
+    pub closing: Closing,
 }
 
 impl Panels {
-    /// Checks the mesh and picks the panels that are solved.
-    pub fn new(mesh: &SurfaceMesh, symmetry: Symmetry) -> Result<Self, PanelError> {
+    /// Checks the mesh, closes blunt trailing edges, and picks the panels that are solved.
+    pub fn new(
+        mesh: &SurfaceMesh,
+        symmetry: Symmetry,
+        trailing_edges: &TrailingEdges,
+    ) -> Result<Self, PanelError> {
         mesh.validate(&Limits::default())?;
         let topology = Topology::new(mesh);
         if let Some(&edge) = topology.non_manifold_edges.first() {
@@ -80,14 +87,31 @@ impl Panels {
             let text = format!("a half model lies on one side, y ranges over {}..={}", low[1], high[1]);
             return Err(PanelError::NotSymmetric(text));
         }
+        let closing = Closing::new(mesh, &topology, trailing_edges);
+        let closed = closing.apply(mesh)?;
+        let mesh = closed.as_ref().unwrap_or(mesh);
         let mirror = match symmetry {
             Symmetry::Mirror => Some(Partners::new(mesh, tolerance)?),
             Symmetry::Automatic if !half => Partners::new(mesh, tolerance).ok(),
             _ => None,
         };
-        let panels = Self::pick(mesh, half, mirror, tolerance);
+        let mut panels = Self::pick(mesh, half, mirror, tolerance);
         panels.check_orientation(mesh)?;
+        panels.number_as(closing);
         Ok(panels)
+    }
+
+    /// Goes over to the numbers of the mesh before its blunt trailing edges were closed.
+    fn number_as(&mut self, closing: Closing) {
+        if !closing.is_empty() {
+            let vertex = |v: &mut u32| *v = closing.vertex_of[*v as usize];
+            self.vertex_of.iter_mut().for_each(vertex);
+            self.partner.iter_mut().flatten().for_each(vertex);
+            self.cell_of.iter_mut().for_each(|cell| *cell = closing.cell_of[*cell as usize]);
+            self.panel_of = closing.stands_for.iter().map(|cell| self.panel_of[*cell as usize]).collect();
+            self.vertices = closing.representative.len();
+        }
+        self.closing = closing;
     }
 
     fn pick(mesh: &SurfaceMesh, half: bool, mirror: Option<Partners>, tolerance: f64) -> Self {
@@ -144,6 +168,7 @@ impl Panels {
             on_plane,
             partner,
             vertices: mesh.vertices.len(),
+            closing: Closing::default(),
         }
     }
 
@@ -184,6 +209,12 @@ impl Panels {
         if self.symmetric { &[0, 2] } else { &[0, 1, 2] }
     }
 
+    /// The point of a mesh vertex, if it belongs to the solved panels.
+    pub fn point_of(&self, vertex: u32) -> Option<u32> {
+        let vertex = self.closing.representative.get(vertex as usize).copied().unwrap_or(vertex);
+        self.vertex_of.binary_search(&vertex).ok().map(|point| point as u32)
+    }
+
     /// The edge between two points.
     pub fn edge_between(&self, a: u32, b: u32) -> Option<u32> {
         let same = |e: &&u32| {
@@ -209,6 +240,7 @@ impl Panels {
     pub fn check_symmetry(&self, vertices: &[[f64; 3]]) -> Result<(), PanelError> {
         let extent = vertices.iter().flatten().fold(0.0_f64, |m, x| m.max(x.abs()));
         let tolerance = SYMMETRY_TOLERANCE * extent;
+        let vertices = self.closing.gather(vertices);
         for (point, &vertex) in self.vertex_of.iter().enumerate() {
             let x = Vector3::from(vertices[vertex as usize]);
             if self.on_plane[point] && x.y.abs() > tolerance {
@@ -231,6 +263,7 @@ impl Panels {
 
     /// Points of the solved half: the mean of both halves if the mesh has both, and y = 0 on the plane.
     pub fn gather(&self, vertices: &[[f64; 3]]) -> Vec<Vector3> {
+        let vertices = self.closing.gather(vertices);
         let at = |v: u32| Vector3::from(vertices[v as usize]);
         (0..self.vertex_of.len())
             .map(|point| {
@@ -263,6 +296,7 @@ impl Panels {
                 None => add(self.vertex_of[point], x),
             }
         }
+        self.closing.scatter(&mut out);
         out
     }
 }

@@ -8,7 +8,7 @@
 //! ```
 //!
 //! The inner integral is closed, the outer one by Gauss's rule; an element on itself is closed, too. Where the circulation goes on over a
-//! body to the plane of symmetry, it is constant, and counts in the lift. Without a plane of symmetry it goes on linearly to the
+//! body to the plane of symmetry, it is constant, and counts in the lift. Off that plane it goes on linearly to the
 //! mean of what arrives at the body's aft end.
 
 use moldline_foundation::quadrature::GAUSS_4;
@@ -116,7 +116,7 @@ impl Trace {
                     Beside::Plane => {}
                     Beside::Body(end) => {
                         lifting.extend([(point, own, sign), (end, own, -sign)]);
-                        if !panels.symmetric {
+                        if !panels.on_plane[end as usize] {
                             let roots = roots_at(wakes, end);
                             let share = sign / roots.len() as f64;
                             let mut rise: Vec<(u32, f64)> = roots.iter().map(|r| (*r, -share)).collect();

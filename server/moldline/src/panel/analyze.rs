@@ -100,6 +100,9 @@ pub fn run(options: &AnalyzeOptions) -> Result<(), Failure> {
         summary.unknowns,
         summary.memory >> 20
     ))?;
+    for warning in &summary.warnings {
+        say(&format_args!("warning: {warning}"))?;
+    }
     let reference =
         Reference { area: options.area, chord: options.chord, span: options.span, point: options.point };
     let sideslip = options.sideslip.to_radians();
@@ -171,6 +174,9 @@ fn tell(alpha: f64, analysis: &Analysis) -> Result<(), Failure> {
         analysis.rounds,
         100.0 * analysis.disagreement
     ))?;
+    for warning in &analysis.warnings {
+        say(&format_args!("  warning: {warning}"))?;
+    }
     for (name, value) in Scalars::NAMES.iter().zip(analysis.scalars.to_array()) {
         say(&format_args!("  {name:<20} {value:>12.6}"))?;
     }

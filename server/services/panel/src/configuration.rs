@@ -59,7 +59,7 @@ impl Definition {
                 indices(&mut hasher, &group.indices);
             }
         }
-        let Options { symmetry, trailing_edges, components, solver, tolerance, memory_limit: _ } =
+        let Options { symmetry, trailing_edges, components, solver, tolerance, on_doubt, memory_limit: _ } =
             &self.options;
         name(&mut hasher, word(*symmetry));
         match trailing_edges {
@@ -87,6 +87,7 @@ impl Definition {
         }
         name(&mut hasher, &format!("{solver:?}"));
         hasher.update(&tolerance.to_le_bytes());
+        name(&mut hasher, &format!("{on_doubt:?}"));
         hasher.finalize().to_hex().to_string()
     }
 

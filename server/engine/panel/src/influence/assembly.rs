@@ -219,7 +219,7 @@ mod tests {
             (thin, Symmetry::Mirror),
         ];
         for (case, (mesh, symmetry)) in cases.iter().enumerate() {
-            let panels = Panels::new(mesh, *symmetry).unwrap();
+            let panels = Panels::new(mesh, *symmetry, &crate::TrailingEdges::None).unwrap();
             let surface = Surface::new(&panels, &panels.gather(&mesh.vertices), 0.3).unwrap();
             let wakes = Wakes::default();
             let sums = if panels.symmetric {

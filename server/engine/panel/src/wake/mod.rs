@@ -11,13 +11,19 @@
 
 mod crossing;
 mod edges;
+mod lines;
 mod paths;
 mod sheets;
+mod sight;
 mod strips;
 
 use moldline_mesh::{SurfaceMesh, Vector3};
+use rayon::prelude::*;
 
+pub use crossing::NearPass;
+pub use lines::{EdgeLine, LeftOut, Reason};
 pub(crate) use sheets::{Corner, Jump, Piece, Ray};
+pub(crate) use sight::{Face, Sight};
 pub(crate) use strips::{Beside, Strip};
 
 use crate::{PanelError, TrailingEdges, panels::Panels};
@@ -33,13 +39,15 @@ pub(crate) struct Wakes {
     pub rays: Vec<Ray>,
     /// Whether an edge of the panels is a trailing edge.
     pub trailing: Vec<bool>,
+    /// What looks like a trailing edge, but is none.
+    pub left_out: Vec<LeftOut>,
 }
 
 impl Wakes {
     /// Finds trailing edges, strips and paths at the positions of the mesh.
     pub fn new(mesh: &SurfaceMesh, panels: &Panels, rule: &TrailingEdges) -> Result<Self, PanelError> {
         let points = panels.gather(&mesh.vertices);
-        let edges = edges::find(mesh, panels, &points, rule)?;
+        let edges::Found { edges, left_out } = edges::find(mesh, panels, &points, rule)?;
         let mut trailing = vec![false; panels.edges.len()];
         edges.iter().for_each(|&e| trailing[e as usize] = true);
         let mut strips = strips::along_lines(panels, &points, &edges)?;
@@ -47,7 +55,7 @@ impl Wakes {
         for strip in &mut strips {
             paths.push(paths::over_bodies(panels, &points, &trailing, strip)?);
         }
-        let mut wakes = Self { trailing, ..Self::default() };
+        let mut wakes = Self { trailing, left_out, ..Self::default() };
         for (index, (strip, paths)) in (0..).zip(strips.iter().zip(paths)) {
             wakes.pieces.push(sheets::lay(panels, index, strip, paths, &mut wakes.jumps, &mut wakes.rays)?);
         }
@@ -55,14 +63,26 @@ impl Wakes {
         Ok(wakes)
     }
 
-    /// Checks that no strip passes through a cell.
+    /// The lines of trailing edges, the longest first.
+    pub fn lines(&self, panels: &Panels, points: &[Vector3]) -> Vec<EdgeLine> {
+        let sights: Vec<_> =
+            (0..panels.edges.len() as u32).map(|edge| Sight::new(panels, points, edge)).collect();
+        let edges = self.strips.iter().map(|strip| strip.edge).collect();
+        EdgeLine::of(panels, points, &sights, edges)
+    }
+
+    /// Checks that no strip meets a cell. Returns the passes that are too near for the cells there, one of each strip.
     ///
     /// # Errors
     /// [`PanelError::WakeCutsBody`] for the first crossing.
-    pub fn check(&self, panels: &Panels, points: &[Vector3]) -> Result<(), PanelError> {
-        for (strip, pieces) in self.strips.iter().zip(&self.pieces) {
-            crossing::check(panels, points, strip, pieces)?;
-        }
-        Ok(())
+    pub fn check(&self, panels: &Panels, points: &[Vector3]) -> Result<Vec<NearPass>, PanelError> {
+        let mut on_edge = vec![false; points.len()];
+        self.strips.iter().flat_map(|s| [s.a, s.b]).for_each(|point| on_edge[point as usize] = true);
+        let strips: Vec<_> = self.strips.iter().zip(&self.pieces).collect();
+        let checked: Vec<_> = strips
+            .into_par_iter()
+            .map(|(strip, pieces)| crossing::check(panels, points, &on_edge, strip, pieces))
+            .collect();
+        Ok(checked.into_iter().collect::<Result<Vec<_>, _>>()?.into_iter().flatten().collect())
     }
 }

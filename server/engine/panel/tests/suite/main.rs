@@ -7,3 +7,4 @@ mod dual;
 mod flow;
 mod refusals;
 mod solvers;
+mod wakes;
