@@ -83,7 +83,7 @@ fn by_shape(panels: &Panels, points: &[Vector3], sights: &[Option<Sight>], degre
             let sharp = s.turn >= least || swept;
             sharp
                 && s.sweep() <= LARGEST_SWEEP
-                && s.least_off() >= RUNS_OFF
+                && s.least_off() >= if s.sweep() > 60.0 { RUNS_ALONG } else { RUNS_OFF }
                 && (s.turn >= NEVER_SMOOTH || s.turn >= PROMINENCE * beside[edge])
         })
     };
@@ -98,8 +98,9 @@ fn by_shape(panels: &Panels, points: &[Vector3], sights: &[Option<Sight>], degre
     let least = (degrees - HYSTERESIS).max(SHARP);
     let weak: Vec<bool> = (0..count).map(|edge| shaped(edge, least)).collect();
     continue_lines(panels, sights, &weak, &mut chosen);
-    let gap: Vec<bool> =
-        (0..count).map(|edge| sights[edge].is_some_and(|s| s.turn >= SHARP && s.least_off() > 0.0)).collect();
+    let gap: Vec<bool> = (0..count)
+        .map(|edge| sights[edge].is_some_and(|s| s.turn >= SHARP && s.least_off() > 0.0 && s.sweep() <= 60.0))
+        .collect();
     close_gaps(panels, sights, &gap, &mut chosen);
     drop_ends_of_bodies(panels, points, sights, &mut chosen);
     (0..count as u32).filter(|edge| chosen[*edge as usize]).collect()

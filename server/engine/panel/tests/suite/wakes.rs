@@ -205,8 +205,8 @@ fn cut(mesh: &SurfaceMesh, random: &mut Random) -> SurfaceMesh {
 fn stations(random: &mut Random, first: f64, count: usize) -> Vec<Station> {
     let sweeps = [random.between(-30.0, 55.0), random.between(-30.0, 55.0)].map(f64::to_radians);
     let dihedral = random.between(-10.0, 10.0).to_radians().tan();
-    let (taper, thickness) = (random.between(0.3, 1.0), random.between(0.04, 0.18));
-    let (root, tip) = (random.between(-0.1, 0.1), random.between(-0.1, 0.1));
+    let (taper, thickness) = (random.between(0.3, 1.0), random.between(0.04, 0.12));
+    let (root, tip) = (random.between(-0.05, 0.05), random.between(-0.05, 0.05));
     let span = random.between(1.5, 5.0);
     let mut trailing = 1.0;
     let mut stations = Vec::new();
