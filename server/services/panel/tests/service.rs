@@ -241,19 +241,20 @@ async fn a_tenant_sees_its_own_and_a_reader_computes_nothing() {
 #[tokio::test]
 async fn older_solutions_are_evicted() {
     let caller = Principal::local();
-    let needed = {
+    // Room for one solution being computed, but not for another that is kept beside it.
+    let room = {
         let probe = service(Limits::default());
-        let id = probe.create_configuration(&caller, wing()).await.unwrap().configuration.id.clone();
-        probe.analyse(&caller, &id, still(0.1), vec![flow(0.0)], |_| {}).await.unwrap();
-        probe.status().solutions.bytes as u64
+        let configuration = probe.create_configuration(&caller, wing()).await.unwrap().configuration;
+        probe.analyse(&caller, &configuration.id, still(0.1), vec![flow(0.0)], |_| {}).await.unwrap();
+        configuration.summary.memory + probe.status().solutions.bytes as u64 / 2
     };
-    let service = service(Limits { solution_bytes: needed + needed / 2, ..Limits::default() });
+    let service = service(Limits { solution_bytes: room, ..Limits::default() });
     let id = service.create_configuration(&caller, wing()).await.unwrap().configuration.id.clone();
     let mut names = Vec::new();
     for mach in [0.1, 0.2, 0.3, 0.4] {
         let analysed = service.analyse(&caller, &id, still(mach), vec![flow(0.0)], |_| {}).await.unwrap();
         names.push(analysed.solved.id.clone());
-        assert!(service.status().solutions.bytes as u64 <= needed + needed / 2);
+        assert!(service.status().solutions.bytes as u64 <= room);
     }
     assert!(service.status().solutions.evictions > 0);
     let at = AnalysisPoint { analysis_id: names[0].clone(), geometry: None, flow: flow(0.0) };
