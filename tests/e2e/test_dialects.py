@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import signal
 import subprocess
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -144,6 +145,8 @@ def by_gmsh(folder: Path) -> Iterator[Dialect]:
     except OSError as error:  # A library of the window system is missing.
         pytest.skip(f"gmsh cannot be loaded: {error}; install libglu1-mesa, libxft2 and libxcursor1")
     gmsh.initialize(["gmsh", "-v", "0"], interruptible=False)
+    # It restores what kills a process that writes to a closed connection.
+    signal.signal(signal.SIGPIPE, signal.SIG_IGN)
     try:
         for partitions in (1, 3):
             yield from _by_gmsh(gmsh, folder, partitions)

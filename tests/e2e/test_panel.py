@@ -53,11 +53,14 @@ def configuration(panels: moldline.panel.Client) -> Configuration:
 def test_a_wing_lifts_as_a_wing_does(panels: moldline.panel.Client, configuration: Configuration) -> None:
     assert configuration.symmetric and configuration.components == ("wing",)
     assert len(configuration.trailing_edges) == 6
-    assert panels.get_configuration(configuration.id).unknowns == configuration.unknowns == configuration.cell_count
+    assert panels.get_configuration(configuration.id).unknowns == configuration.unknowns
+    # A vertex of a trailing edge has two potentials, but for that at the tip.
+    assert configuration.unknowns == configuration.vertex_count + len(configuration.trailing_edges)
     steps: list[moldline.Progress] = []
     level, raised = configuration.sweep([0.0, 0.05], reference=REFERENCE, mach=0.2, progress=steps.append)
     assert list(dict.fromkeys(step.stage for step in steps)) == ["influence", "factorisation", "solution"]
-    assert abs(level.coefficients.lift) < 1e-9
+    # The cells of the flat tip are cut along one of their diagonals.
+    assert abs(level.coefficients.lift) < 1e-4
     # The method is linear: the lift follows the slope to second order in the angle, and is close to thin-wing theory.
     lift = raised.coefficients.lift
     assert np.isclose(lift, level.coefficients.lift_slope * np.sin(0.05), rtol=2e-3)

@@ -108,7 +108,9 @@ def step(scratch: Path) -> Iterator[bytes]:
 
 def iges(scratch: Path) -> Iterator[bytes]:
     """What follows the start section: one bilinear surface."""
-    parameters = "128,1,1,1,1,0,0,1,0,0,0.,0.,1.,1.,0.,0.,1.,1.,1.,1.,1.,1.,0.,0.,0.,1.,0.,0.,0.,1.,0.,1.,1.,0.,0.,1.,0.,1.;"
+    parameters = (
+        "128,1,1,1,1,0,0,1,0,0,0.,0.,1.,1.,0.,0.,1.,1.,1.,1.,1.,1.,0.,0.,0.,1.,0.,0.,0.,1.,0.,1.,1.,0.,0.,1.,0.,1.;"
+    )
     pieces = [parameters[k : k + 64] for k in range(0, len(parameters), 64)]
     lines = [f"{',,,,,,,,,,,,,6,1HM;':72}G      1"]
     lines += ["".join(f"{f:>8}" for f in (128, 1, 0, 0, 0, 0, 0, 0, 0)) + "D      1"]

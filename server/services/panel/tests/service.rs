@@ -243,7 +243,9 @@ async fn older_solutions_are_evicted() {
     let caller = Principal::local();
     let needed = {
         let probe = service(Limits::default());
-        probe.create_configuration(&caller, wing()).await.unwrap().configuration.summary.memory
+        let id = probe.create_configuration(&caller, wing()).await.unwrap().configuration.id.clone();
+        probe.analyse(&caller, &id, still(0.1), vec![flow(0.0)], |_| {}).await.unwrap();
+        probe.status().solutions.bytes as u64
     };
     let service = service(Limits { solution_bytes: needed + needed / 2, ..Limits::default() });
     let id = service.create_configuration(&caller, wing()).await.unwrap().configuration.id.clone();

@@ -28,10 +28,10 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<Imported, ReadError> {
     read_merged(bytes, 0.0, limits)
 }
 
-/// As [`read`], with nodes merged within `tolerance`, in the file's unit.
+/// As [`read()`], with nodes merged within `tolerance`, in the file's unit.
 ///
 /// # Errors
-/// As [`read`]; [`ReadError::MergeTolerance`] if the tolerance is too large.
+/// As [`read()`]; [`ReadError::MergeTolerance`] if the tolerance is too large.
 pub fn read_merged(bytes: &[u8], tolerance: f64, limits: &Limits) -> Result<Imported, ReadError> {
     Reader::read(bytes, limits)?.finish(tolerance)
 }
@@ -39,7 +39,7 @@ pub fn read_merged(bytes: &[u8], tolerance: f64, limits: &Limits) -> Result<Impo
 /// The same file with other positions of some nodes, given by tag in the file's unit; all else stays as it is, to the last byte.
 ///
 /// # Errors
-/// As [`read`].
+/// As [`read()`].
 pub fn with_positions(
     bytes: &[u8],
     position: impl Fn(u64) -> Option<[f64; 3]>,

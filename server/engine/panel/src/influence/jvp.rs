@@ -2,15 +2,16 @@
 
 use std::f64::consts::PI;
 
+use moldline_foundation::simd::widest;
 use moldline_mesh::Vector3;
 use rayon::prelude::*;
 
 use super::{
     assembly::View,
     far::Moments,
-    records::{Charges, Influence, plane_figure_jvp},
+    records::{Charges, Influence, by_axis, plane_figure_jvp},
     targets::Target,
-    walk::{Near, Visitor},
+    walk::{BLOCK, Block, Near, Visitor, product},
 };
 use crate::{
     Monitor, PanelError, Stage,
@@ -23,13 +24,16 @@ use crate::{
 pub(crate) struct PairChange {
     corners: Vec<[Vector3; 3]>,
     centroids: Vec<Vector3>,
-    moments: Vec<Moments>,
+    /// Changes of centroids and moments, one list for each number.
+    figures: [Vec<f64>; 9],
     sheets: Vec<[Vector3; 3]>,
 }
 
 /// Changes of the circulations for every onset flow.
 struct ChargeChange {
     elements: Vec<Vector3>,
+    /// The same by axis.
+    afar: [Vec<f64>; 3],
     sheets: Vec<Vector3>,
 }
 
@@ -38,9 +42,16 @@ impl PairChange {
         let Influence { panels, layout, surface, sources, .. } = influence;
         let corners: Vec<[Vector3; 3]> =
             (0..layout.elements.len()).map(|e| change.corners(panels, &layout.elements, e)).collect();
-        let (centroids, of_moments) = (0..layout.elements.len())
+        let (centroids, of_moments): (Vec<Vector3>, Vec<Moments>) = (0..layout.elements.len())
             .map(|e| plane_figure_jvp(&surface.corners[e], &sources[e].centroid, &corners[e]))
             .unzip();
+        let figures = std::array::from_fn(|f| {
+            if f < 3 {
+                centroids.iter().map(|c| c[f]).collect()
+            } else {
+                of_moments.iter().map(|m| m[f - 3]).collect()
+            }
+        });
         let sheet = |sheet: &crate::wake::SheetTriangle| {
             [0, 1, 2].map(|k: usize| {
                 let corner = &sheet.corners[k];
@@ -48,12 +59,7 @@ impl PairChange {
                 Vector3::new(change.points[corner.ahead(&surface.points) as usize].x, at.y, at.z)
             })
         };
-        Self {
-            corners,
-            centroids,
-            moments: of_moments,
-            sheets: layout.sheets.triangles.iter().map(sheet).collect(),
-        }
+        Self { corners, centroids, figures, sheets: layout.sheets.triangles.iter().map(sheet).collect() }
     }
 
     fn charges(&self, influence: &Influence<'_>, charges: &Charges) -> ChargeChange {
@@ -64,7 +70,11 @@ impl PairChange {
         let sheet = |(corners, sheet): (&[Vector3; 3], &super::records::Sheet)| {
             circulation(corners, &sheet.circulations.map(|g| charges.gamma[g as usize]))
         };
-        ChargeChange { sheets: self.sheets.iter().zip(&influence.sheets).map(sheet).collect(), elements }
+        ChargeChange {
+            sheets: self.sheets.iter().zip(&influence.sheets).map(sheet).collect(),
+            afar: by_axis(&elements),
+            elements,
+        }
     }
 }
 
@@ -87,24 +97,38 @@ impl<const B: usize> Sum<'_, B> {
 }
 
 impl<const B: usize> Visitor for Sum<'_, B> {
-    fn far(&mut self, view: &View, element: usize, mean: f64, by_way: &Vector3, by_moments: &Moments) {
+    fn far(&mut self, view: &View, first: usize, block: &Block) {
         let charges = self.charges;
-        self.add(view, mean, |k| charges[k].elements[element]);
-        for ((moved, (change, d_charges)), out) in
-            self.moved.iter().zip(self.changes).zip(&mut self.d_potential)
-        {
-            let (_, centroid, of_moments) = moved;
-            let s = of_moments;
-            let seen = [s[0], s[1], s[2], view.y * s[3], view.y * s[4], s[5]];
-            let mut d_mean = by_way.dot(&(change.centroids[element] - view.place(centroid)));
-            for k in 0..6 {
-                d_mean += by_moments[k] * (change.moments[element][k] + seen[k]);
-            }
-            for k in 0..B {
-                let d = d_mean * charges[k].elements[element] + mean * d_charges[k].elements[element];
-                out[k] += view.turned(&d);
-            }
-        }
+        let range = first..first + block.count;
+        let means = &block.means[..block.count];
+        widest(
+            #[inline(always)]
+            || {
+                for (sum, charge) in self.potential.iter_mut().zip(charges) {
+                    let sums = charge.afar.each_ref().map(|list| product(means, &list[range.clone()]));
+                    *sum += view.turned(&Vector3::from(sums));
+                }
+                let each = self.moved.iter().zip(self.changes).zip(&mut self.d_potential);
+                for (((_, centroid, m), (change, d_charges)), out) in each {
+                    let c = view.place(centroid);
+                    // What of the target's change adds to that of the ways and of the moments.
+                    let of_target = [-c.x, -c.y, -c.z, m[0], m[1], m[2], view.y * m[3], view.y * m[4], m[5]];
+                    let mut d_means = [0.0; BLOCK];
+                    for ((by, figures), of_target) in block.by.iter().zip(&change.figures).zip(of_target) {
+                        let each = d_means.iter_mut().zip(by).zip(&figures[range.clone()]);
+                        each.for_each(|((d, by), figure)| *d += by * (figure + of_target));
+                    }
+                    let d_means = &d_means[..block.count];
+                    for k in 0..B {
+                        let sums: [f64; 3] = std::array::from_fn(|axis| {
+                            product(d_means, &charges[k].afar[axis][range.clone()])
+                                + product(means, &d_charges[k].afar[axis][range.clone()])
+                        });
+                        out[k] += view.turned(&Vector3::from(sums));
+                    }
+                }
+            },
+        );
     }
 
     fn near(&mut self, view: &View, element: usize, near: &Near, by_way: &Vector3) {

@@ -129,6 +129,8 @@ pub(crate) struct Influence<'a> {
     pub layout: &'a Layout,
     pub surface: &'a Surface,
     pub(super) sources: Vec<Source>,
+    /// Centroids and moments of the sources, one list for each number.
+    pub(super) figures: [Vec<f64>; 9],
     pub(super) triangles: Vec<Triangle>,
     pub(super) sheets: Vec<Sheet>,
 }
@@ -156,7 +158,11 @@ impl<'a> Influence<'a> {
             let (centroid, moments) = plane_figure(corners);
             Source { centroid, moments }
         };
-        let sources = surface.corners.iter().map(source).collect();
+        let sources: Vec<Source> = surface.corners.iter().map(source).collect();
+        let figures = std::array::from_fn(|f| {
+            let number = |s: &Source| if f < 3 { s.centroid[f] } else { s.moments[f - 3] };
+            sources.iter().map(number).collect()
+        });
         let sheets = layout
             .sheets
             .triangles
@@ -173,7 +179,7 @@ impl<'a> Influence<'a> {
                 }
             })
             .collect();
-        Self { panels, layout, surface, sources, triangles, sheets }
+        Self { panels, layout, surface, sources, figures, triangles, sheets }
     }
 
     /// Points of view: the surface itself, and the factor of y in its image.
@@ -196,9 +202,15 @@ impl<'a> Influence<'a> {
                 .collect(),
             nodes,
             gamma,
+            afar: by_axis(&elements),
             elements,
         }
     }
+}
+
+/// Vectors by axis, as loops over many of them read them.
+pub(super) fn by_axis(vectors: &[Vector3]) -> [Vec<f64>; 3] {
+    [0, 1, 2].map(|axis| vectors.iter().map(|v| v[axis]).collect())
 }
 
 /// Circulations for values of the unknowns.
@@ -208,6 +220,8 @@ pub(crate) struct Charges {
     pub nodes: Vec<f64>,
     pub gamma: Vec<f64>,
     pub elements: Vec<Vector3>,
+    /// The same by axis.
+    pub(super) afar: [Vec<f64>; 3],
     pub sheets: Vec<Vector3>,
 }
 

@@ -16,7 +16,7 @@ use crate::{
 };
 
 /// Points of an element over which the potential of near ones is averaged, as weights of its corners, and their weights: exact for polynomials of the
-/// fourth degree (Strang and Fix).
+/// fourth degree (Dunavant, Int. J. Numer. Methods Eng. 21, 1985).
 const PROBES: [([f64; 3], f64); 6] = {
     const A: f64 = 0.091_576_213_509_770_74;
     const B: f64 = 0.445_948_490_915_964_9;

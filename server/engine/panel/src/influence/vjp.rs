@@ -2,6 +2,7 @@
 
 use std::f64::consts::PI;
 
+use moldline_foundation::simd::widest;
 use moldline_mesh::Vector3;
 use rayon::prelude::*;
 
@@ -10,7 +11,7 @@ use super::{
     far::Moments,
     records::{Charges, Influence, plane_figure_vjp},
     targets::Target,
-    walk::{Near, Visitor},
+    walk::{BLOCK, Block, Near, Visitor, product},
 };
 use crate::{
     Monitor, PanelError, Stage,
@@ -25,34 +26,32 @@ const GROUPS: usize = 8;
 /// Weights of the residual: for every unknown, for every onset flow.
 pub(crate) type PairSeeds<const B: usize> = [Vec<f64>; B];
 
-/// Seeds of an element as it acts from afar.
-#[derive(Clone)]
-struct SourceSeeds<const B: usize> {
-    centroid: Vector3,
-    moments: Moments,
-    charges: [Vector3; B],
-}
-
 /// What a group of targets adds to one adjoint.
 struct Gathered<const B: usize> {
     change: SurfaceChange,
-    sources: Vec<SourceSeeds<B>>,
+    /// Seeds of the elements as they act from afar, one list for each number: centroid, moments ...
+    figures: [Vec<f64>; 9],
+    /// ... and circulations, by axis.
+    charges: [[Vec<f64>; 3]; B],
 }
 
 impl<const B: usize> Gathered<B> {
     fn new(influence: &Influence<'_>) -> Self {
-        let none =
-            SourceSeeds { centroid: Vector3::zeros(), moments: [0.0; 6], charges: [Vector3::zeros(); B] };
-        Self { change: SurfaceChange::zeros(influence.surface), sources: vec![none; influence.sources.len()] }
+        let none = || vec![0.0; influence.sources.len()];
+        Self {
+            change: SurfaceChange::zeros(influence.surface),
+            figures: std::array::from_fn(|_| none()),
+            charges: std::array::from_fn(|_| std::array::from_fn(|_| none())),
+        }
     }
 
     fn add(&mut self, other: &Self) {
         self.change.beta += other.change.beta;
         self.change.points.iter_mut().zip(&other.change.points).for_each(|(a, b)| *a += b);
-        for (a, b) in self.sources.iter_mut().zip(&other.sources) {
-            a.centroid += b.centroid;
-            (0..6).for_each(|k| a.moments[k] += b.moments[k]);
-            (0..B).for_each(|k| a.charges[k] += b.charges[k]);
+        let mine = self.figures.iter_mut().chain(self.charges.as_flattened_mut());
+        let others = other.figures.iter().chain(other.charges.as_flattened());
+        for (mine, other) in mine.zip(others) {
+            mine.iter_mut().zip(other).for_each(|(a, b)| *a += b);
         }
     }
 }
@@ -70,7 +69,7 @@ struct Sum<'a, const B: usize> {
 }
 
 /// `sum_k test_k . charge_k` as the view turns it, and the turned tests.
-fn product<const B: usize>(
+fn weight<const B: usize>(
     view: &View,
     tests: &[Vector3; B],
     charge: impl Fn(usize) -> Vector3,
@@ -80,25 +79,43 @@ fn product<const B: usize>(
 }
 
 impl<const B: usize> Visitor for Sum<'_, B> {
-    fn far(&mut self, view: &View, element: usize, mean: f64, by_way: &Vector3, by_moments: &Moments) {
+    fn far(&mut self, view: &View, first: usize, block: &Block) {
         let charges = self.charges;
-        for k in 0..B {
-            self.potential[k] += mean * view.turned(&charges[k].elements[element]);
-        }
-        let m = by_moments;
-        let seen = [m[0], m[1], m[2], view.y * m[3], view.y * m[4], m[5]];
-        for ((tests, gathered), moved) in self.tests.iter().zip(self.gathered.iter_mut()).zip(&mut self.moved)
-        {
-            let (weight, turned) = product(view, tests, |k| charges[k].elements[element]);
-            let of_source = &mut gathered.sources[element];
-            of_source.centroid += weight * by_way;
-            moved.1 -= weight * view.place(by_way);
-            for k in 0..6 {
-                of_source.moments[k] += weight * m[k];
-                moved.2[k] += weight * seen[k];
-            }
-            (0..B).for_each(|k| of_source.charges[k] += mean * turned[k]);
-        }
+        let range = first..first + block.count;
+        let means = &block.means[..block.count];
+        widest(
+            #[inline(always)]
+            || {
+                for (sum, charge) in self.potential.iter_mut().zip(charges) {
+                    let sums = charge.afar.each_ref().map(|list| product(means, &list[range.clone()]));
+                    *sum += view.turned(&Vector3::from(sums));
+                }
+                let each = self.tests.iter().zip(self.gathered.iter_mut()).zip(&mut self.moved);
+                for ((tests, gathered), (_, centroid, moments)) in each {
+                    let mut weights = [0.0; BLOCK];
+                    for (k, test) in tests.iter().enumerate() {
+                        let turned = view.turned(test);
+                        for axis in 0..3 {
+                            let charges = &charges[k].afar[axis][range.clone()];
+                            weights.iter_mut().zip(charges).for_each(|(w, c)| *w += turned[axis] * c);
+                            let seeds = &mut gathered.charges[k][axis][range.clone()];
+                            seeds.iter_mut().zip(means).for_each(|(s, mean)| *s += mean * turned[axis]);
+                        }
+                    }
+                    let weights = &weights[..block.count];
+                    let mut sums = [0.0; 9];
+                    for ((sum, by), figures) in sums.iter_mut().zip(&block.by).zip(&mut gathered.figures) {
+                        *sum = product(weights, &by[..block.count]);
+                        let seeds = figures[range.clone()].iter_mut().zip(weights).zip(by);
+                        seeds.for_each(|((seed, weight), by)| *seed += weight * by);
+                    }
+                    let s = sums;
+                    *centroid -= view.place(&Vector3::new(s[0], s[1], s[2]));
+                    let seen = [s[3], s[4], s[5], view.y * s[6], view.y * s[7], s[8]];
+                    (0..6).for_each(|k| moments[k] += seen[k]);
+                }
+            },
+        );
     }
 
     fn near(&mut self, view: &View, element: usize, near: &Near, by_way: &Vector3) {
@@ -111,8 +128,8 @@ impl<const B: usize> Visitor for Sum<'_, B> {
             std::array::from_fn(|k| layout.element_values(element, &charges[k].nodes));
         for ((tests, gathered), moved) in self.tests.iter().zip(self.gathered.iter_mut()).zip(&mut self.moved)
         {
-            let (weight, turned) = product(view, tests, |k| charges[k].elements[element]);
-            gathered.sources[element].centroid += weight * by_way;
+            let (weight, turned) = weight(view, tests, |k| charges[k].elements[element]);
+            (0..3).for_each(|axis| gathered.figures[axis][element] += weight * by_way[axis]);
             moved.1 -= weight * view.place(by_way);
             let mut seeds = near.by_source.map(|g| weight * g);
             for k in 0..B {
@@ -135,7 +152,7 @@ impl<const B: usize> Visitor for Sum<'_, B> {
             std::array::from_fn(|k| circulations.map(|g| charges[k].gamma[g as usize]));
         for ((tests, gathered), moved) in self.tests.iter().zip(self.gathered.iter_mut()).zip(&mut self.moved)
         {
-            let (weight, turned) = product(view, tests, |k| charges[k].sheets[sheet]);
+            let (weight, turned) = weight(view, tests, |k| charges[k].sheets[sheet]);
             let mut seeds = near.by_source.map(|g| weight * g);
             for k in 0..B {
                 let by = circulation_by_corners(&(near.mean * turned[k]), &values[k]);
@@ -186,14 +203,17 @@ impl Influence<'_> {
             .into_iter()
             .zip(seeds)
             .map(|(gathered, seeds)| {
-                let Gathered { mut change, sources } = gathered;
-                for (element, of) in sources.iter().enumerate() {
+                let Gathered { mut change, figures, charges: of_charges } = gathered;
+                for element in 0..self.sources.len() {
                     let corners = &self.surface.corners[element];
-                    let afar = (&of.centroid, &of.moments);
+                    let by_centroid = Vector3::from_fn(|axis, _| figures[axis][element]);
+                    let by_moments: Moments = std::array::from_fn(|k| figures[3 + k][element]);
+                    let afar = (&by_centroid, &by_moments);
                     let mut corner_seeds = plane_figure_vjp(corners, &self.sources[element].centroid, afar);
                     for k in 0..B {
                         let values = self.layout.element_values(element, &charges[k].nodes);
-                        let by = circulation_by_corners(&of.charges[k], &values);
+                        let of = Vector3::from_fn(|axis, _| of_charges[k][axis][element]);
+                        let by = circulation_by_corners(&of, &values);
                         (0..3).for_each(|i| corner_seeds[i] += by[i]);
                     }
                     change.add_corners(self.panels, &self.layout.elements, element, &corner_seeds);
