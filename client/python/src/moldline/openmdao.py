@@ -158,6 +158,11 @@ class DeformedMesh(_Mesh):
     `functions`: names of the scalar outputs; all if `None`.
     """
 
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        # Two evaluations for each input; those of the user replace them.
+        self.set_check_partial_options(wrt="*", directional=True, method="fd", form="central", step=1e-5)
+
     def compute_jacvec_product(self, inputs: Any, d_inputs: Any, d_outputs: Any, mode: str) -> None:
         if mode == "fwd":
             self._forward(inputs, d_inputs, d_outputs)
