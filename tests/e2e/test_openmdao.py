@@ -10,7 +10,7 @@ import moldline
 import numpy as np
 import openmdao.api as om
 import pytest
-from moldline.openmdao import DeformedMesh, DenseDeformedMesh
+from moldline.openmdao import DeformedMesh, DenseDeformedMesh, add_design_variables
 from openmdao.utils.assert_utils import assert_check_partials, assert_check_totals
 
 HALF = Path(__file__).parents[2] / "tests/configurations/half"
@@ -63,12 +63,12 @@ def test_products_pass_openmdaos_check(session: moldline.Session) -> None:
     component = DeformedMesh(session=session)
     run = om.Problem(reports=False)
     run.model.add_subsystem("mesh", component)
-    component.set_check_partial_options(wrt="*", directional=True)
     run.setup()
     run.set_val("mesh.wing:translation", 0.3)
     run.set_val("mesh.wing:rotation", 2.0)
     run.run_model()
-    data = check(run)
+    data = run.check_partials(out_stream=None)["mesh"]
+    assert_check_partials({"mesh": data}, atol=1e-5, rtol=1e-6)
     assert {"wing:translation", "wing:rotation"} == {wrt for _, wrt in data}
     assert {"vertices", "enclosed_volume"} <= {of for of, _ in data}
     assert all({"J_fwd", "J_rev", "J_fd"} <= set(entry) for entry in data.values())
@@ -131,3 +131,48 @@ def test_names_that_are_not_there_are_refused(session: moldline.Session) -> None
     for option in ({"functions": ["mass"]}, {"control_points": ["tail"]}):
         with pytest.raises(ValueError, match="there are: "):
             problem(DeformedMesh(session=session, **option))
+
+
+@pytest.mark.parametrize("component", [DeformedMesh, DenseDeformedMesh])
+def test_the_complex_step_is_refused(session: moldline.Session, component: Any) -> None:
+    run = om.Problem(reports=False)
+    run.model.add_subsystem("mesh", component(session=session, functions=["enclosed_volume"]), promotes=["*"])
+    run.model.add_design_var("wing:translation")
+    run.model.add_objective("enclosed_volume")
+    run.model.approx_totals(method="cs")
+    run.setup(force_alloc_complex=True)
+    run.run_model()
+    with pytest.raises(RuntimeError, match="complex step"):
+        run.compute_totals()
+
+
+def test_only_a_design_that_cannot_be_reached_is_an_analysis_error(
+    session: moldline.Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = problem(DeformedMesh(session=session))
+    for error, expected in (
+        (moldline.errors.FailedPrecondition("seam lost"), om.AnalysisError),
+        (moldline.errors.Unavailable("no server"), moldline.errors.Unavailable),
+    ):
+
+        def fail(*_: Any, error: Exception = error, **__: Any) -> None:
+            raise error
+
+        monkeypatch.setattr(moldline.Session, "deform", fail)
+        with pytest.raises(expected, match=error.args[0]):
+            run.run_model()
+
+
+def test_design_variables_have_the_bounds_of_the_setup(session: moldline.Session) -> None:
+    run = om.Problem(reports=False)
+    run.model.add_subsystem("mesh", DeformedMesh(session=session))
+    add_design_variables(run.model, session.setup, prefix="mesh.")
+    run.setup()
+    run.final_setup()
+    declared = run.model.get_design_vars()
+    rotation = declared["mesh.wing:rotation"]
+    assert set(declared) == {"mesh.wing:translation", "mesh.wing:rotation"}
+    assert rotation["units"] == "deg"
+    assert (np.min(rotation["lower"]), np.max(rotation["upper"])) == (-5.0, 5.0)
+    # The driver sees the middle of the bounds as 0.5.
+    assert run.driver.get_design_var_values()["mesh.wing:rotation"].item() == 0.5

@@ -16,13 +16,16 @@ OpenMDAO's names have no dots: ``wing.twist`` is ``wing:twist`` there (:func:`om
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 import openmdao.api as om
 from numpy.typing import NDArray
 
-from moldline.client import Session
+from moldline.client import Session, Setup
+from moldline.errors import FailedPrecondition
 from moldline.model import Deformation, DesignPoint
 from moldline.panel import COEFFICIENTS, Analysis, Configuration, Reference
 
@@ -33,6 +36,42 @@ _UNITS = {"1": None, "percent": "percent", "m^2": "m**2", "m^3": "m**3", "ft^2":
 def om_name(name: str) -> str:
     """OpenMDAO's form of a name: dots become colons, and characters that OpenMDAO rejects underscores."""
     return re.sub(r"[^A-Za-z0-9_:]", "_", name.replace(".", ":"))
+
+
+def add_design_variables(model: Any, setup: Setup, *, prefix: str = "") -> None:
+    """Declares each group of the set-up's variables as design variables of `model`, with its bounds and unit.
+
+    `prefix`: path of the component, such as ``mesh.``; empty if its inputs are promoted. Infinite bounds are left out.
+    Entries with two finite bounds are scaled to run from 0 to 1; in groups with others none is.
+    """
+    for group in setup.groups.values():
+        variables = setup.variables[group.entries]
+        if not variables:
+            continue
+        lower = np.array([variable.lower for variable in variables])
+        upper = np.array([variable.upper for variable in variables])
+        options: dict[str, Any] = {}
+        if np.isfinite(lower).any():
+            options["lower"] = lower
+        if np.isfinite(upper).any():
+            options["upper"] = upper
+        if np.isfinite(lower).all() and np.isfinite(upper).all() and (upper > lower).all():
+            options |= {"ref0": lower, "ref": upper}
+        model.add_design_var(prefix + om_name(group.name), units=_units(variables[0].unit), **options)
+
+
+@contextmanager
+def _evaluation(component: Any) -> Iterator[None]:
+    """Refuses the complex step; the failure of a method on a valid input becomes an `AnalysisError`."""
+    if component.under_complex_step:
+        raise RuntimeError(
+            f"{component.msginfo}: the complex step does not go through the server;"
+            " use the component's exact derivatives, or method='fd'"
+        )
+    try:
+        yield
+    except FailedPrecondition as error:
+        raise om.AnalysisError(f"{component.msginfo}: {error}") from error
 
 
 class _Mesh(om.ExplicitComponent):  # type: ignore[misc]  # OpenMDAO has no types.
@@ -77,9 +116,10 @@ class _Mesh(om.ExplicitComponent):  # type: ignore[misc]  # OpenMDAO has no type
         self._last: Deformation | None = None
 
     def compute(self, inputs: Any, outputs: Any) -> None:
-        point = self._point(inputs)
         session: Session = self.options["session"]
-        result = session.deform(point.design, control_points=point.control_points)
+        with _evaluation(self):
+            point = self._point(inputs)
+            result = session.deform(point.design, control_points=point.control_points)
         outputs["vertices"] = result.vertices
         for name, function in self._functions.items():
             outputs[name] = result.functions[function]
@@ -117,6 +157,11 @@ class DeformedMesh(_Mesh):
     `control_points`: names of components whose control points are inputs.
     `functions`: names of the scalar outputs; all if `None`.
     """
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
+        # Two evaluations for each input; those of the user replace them.
+        self.set_check_partial_options(wrt="*", directional=True, method="fd", form="central", step=1e-5)
 
     def compute_jacvec_product(self, inputs: Any, d_inputs: Any, d_outputs: Any, mode: str) -> None:
         if mode == "fwd":
@@ -232,7 +277,8 @@ class PanelComponent(om.ExplicitComponent):  # type: ignore[misc]
         self.analysis: Analysis | None = None
 
     def compute(self, inputs: Any, outputs: Any) -> None:
-        self.analysis = analysis = self._analyze(inputs)
+        with _evaluation(self):
+            self.analysis = analysis = self._analyze(inputs)
         for name in self.options["coefficients"]:
             outputs[name] = getattr(analysis.coefficients, name)
         if self.options["section_loads"]:
