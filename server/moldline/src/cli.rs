@@ -5,6 +5,7 @@ use clap::{Parser, Subcommand};
 use crate::{
     check::CheckOptions,
     deform::DeformOptions,
+    mesh::MeshOptions,
     panel::{analyze::AnalyzeOptions, serve::PanelServeOptions},
     serve::ServeOptions,
     setup::{SchemaOptions, SetupOptions},
@@ -40,6 +41,8 @@ pub enum Command {
     Token(TokenOptions),
     /// Deform the mesh of a set-up on this machine and write it as VTU
     Deform(DeformOptions),
+    /// Mesh the union of a set-up's components
+    Mesh(MeshOptions),
     /// Build a set-up on this machine and print its report
     Setup(SetupOptions),
     /// Check the derivatives of a set-up against their transposes, dual numbers and central differences

@@ -14,6 +14,7 @@ mod failure;
 mod grpc;
 mod http;
 mod local;
+mod mesh;
 mod output;
 pub mod panel;
 #[cfg(feature = "plot")]
@@ -45,6 +46,7 @@ pub fn run(command: Command) -> Result<(), Failure> {
         Command::Status(options) => Ok(status::run(&options)?),
         Command::Token(options) => Ok(token::run(&options)?),
         Command::Deform(options) => deform::run(&options),
+        Command::Mesh(options) => mesh::run(&options),
         Command::Setup(options) => setup::report(&options),
         Command::Check(options) => check::run(&options),
         Command::Schema(options) => setup::schema(&options),
