@@ -21,10 +21,12 @@ fn main() -> Result<(), Box<dyn Error>> {
     let descriptors = protox::compile(FILES, ["."])?;
     let out = PathBuf::from(env::var("OUT_DIR")?);
     fs::write(out.join("descriptors.bin"), descriptors.encode_to_vec())?;
-    let builder = tonic_prost_build::configure().bytes(".moldline.v1");
+    let builder = tonic_prost_build::configure().bytes(".moldline.v1").codec_path("crate::codec::Codec");
     let builder =
         if env::var_os("CARGO_FEATURE_JSON").is_some() { json(builder, &descriptors) } else { builder };
-    builder.compile_fds(descriptors)?;
+    let mut config = tonic_prost_build::Config::new();
+    config.enable_type_names();
+    builder.compile_fds_with_config(descriptors, config)?;
     Ok(())
 }
 

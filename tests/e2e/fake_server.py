@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import socket
+import struct
+import threading
 import time
 from collections.abc import Iterator
 from concurrent import futures
@@ -36,7 +39,7 @@ def refusal(code: str, retry_after: float | None = None) -> Any:
 class FakeServer(mesh_service_pb2_grpc.MeshServiceServicer, panel_service_pb2_grpc.PanelServiceServicer):
     """Answers with one of `refusals` per call, in turn, and then as a real server would."""
 
-    def __init__(self, credentials: grpc.ServerCredentials | None = None) -> None:
+    def __init__(self, credentials: grpc.ServerCredentials | None = None, address: str = "127.0.0.1:0") -> None:
         self.refusals: list[Any] = []
         #: Arrival time, metadata, request, remaining seconds and authenticated identities of each call.
         self.calls: list[tuple[float, dict[str, str], Any, float | None, list[bytes]]] = []
@@ -44,9 +47,9 @@ class FakeServer(mesh_service_pb2_grpc.MeshServiceServicer, panel_service_pb2_gr
         mesh_service_pb2_grpc.add_MeshServiceServicer_to_server(self, self._server)
         panel_service_pb2_grpc.add_PanelServiceServicer_to_server(self, self._server)
         if credentials is None:
-            port = self._server.add_insecure_port("127.0.0.1:0")
+            port = self._server.add_insecure_port(address)
         else:
-            port = self._server.add_secure_port("127.0.0.1:0", credentials)
+            port = self._server.add_secure_port(address, credentials)
         self.address = f"127.0.0.1:{port}"
 
     @property
@@ -131,3 +134,44 @@ class FakeServer(mesh_service_pb2_grpc.MeshServiceServicer, panel_service_pb2_gr
 
 def _array(values: np.ndarray) -> array_pb2.Array:
     return array_pb2.Array(dtype=array_pb2.DATA_TYPE_FLOAT64, shape=values.shape, data=values.tobytes())
+
+
+class DyingServer:
+    """A supervised server that every call kills: connections break as soon as a call has come, and are accepted again."""
+
+    def __init__(self) -> None:
+        #: Arrival times of calls.
+        self.times: list[float] = []
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.address = "{}:{}".format(*self._listener.getsockname())
+
+    def _serve(self) -> None:
+        while True:
+            try:
+                connection, _ = self._listener.accept()
+            except OSError:
+                return
+            threading.Thread(target=self._die, args=[connection], daemon=True).start()
+
+    def _die(self, connection: socket.socket) -> None:
+        with connection, connection.makefile("rb") as incoming:
+            # Settings without entries, and their acknowledgement, as every HTTP/2 server sends first.
+            connection.sendall(bytes((0, 0, 0, 4, 0, 0, 0, 0, 0)) + bytes((0, 0, 0, 4, 1, 0, 0, 0, 0)))
+            assert len(incoming.read(24)) in (0, 24)
+            while header := incoming.read(9):
+                incoming.read(int.from_bytes(header[:3], "big"))
+                if header[3] == 1:  # HEADERS
+                    self.times.append(time.monotonic())
+                    # Closed with a reset, as by the kernel for a process that was killed.
+                    connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+                    return
+
+    def __enter__(self) -> DyingServer:
+        threading.Thread(target=self._serve, daemon=True).start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._listener.shutdown(socket.SHUT_RDWR)
+        self._listener.close()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Iterator
 from itertools import pairwise
@@ -14,7 +15,7 @@ import pytest
 import trustme
 
 from clients import LANGUAGES, Client, Refused
-from fake_server import JACOBIAN, FakeServer, refusal
+from fake_server import JACOBIAN, DyingServer, FakeServer, refusal
 
 
 @pytest.fixture(scope="module", params=LANGUAGES)
@@ -73,6 +74,7 @@ def test_attempts_are_counted(client: Client, server: FakeServer) -> None:
     with pytest.raises(Refused) as error:
         client("status")
     assert error.value.code == "UNAVAILABLE"
+    assert error.value.message == f"UNAVAILABLE on demand ({server.address}: called 3 times)"
     assert error.value.retry_after == 0.05
     assert len(server.calls) == 3
 
@@ -99,6 +101,60 @@ def test_an_address_where_nobody_is_is_unavailable(client: Client) -> None:
     with pytest.raises(Refused) as error:
         client("status")
     assert error.value.code == "UNAVAILABLE"
+
+
+@pytest.mark.parametrize(("losses", "calls"), [(None, 2), (0, 1), (3, 4)])
+def test_a_call_that_kills_its_server_is_repeated_once(client: Client, losses: int | None, calls: int) -> None:
+    """Otherwise one call kills a supervised server as often as it comes back."""
+    options = {} if losses is None else {"losses": losses}
+    with DyingServer() as server:
+        client("connect", address=server.address, first_pause=0.02, timeout=30.0, **options)
+        with pytest.raises(Refused) as error:
+            client("status")
+        assert error.value.code == "UNAVAILABLE"
+        assert len(server.times) == calls
+        assert all(after - before >= 0.2 for before, after in pairwise(server.times)), "there is a pause"
+        assert server.address in error.value.message and "the server may have died of" in error.value.message
+        assert ("called once" if calls == 1 else f"called {calls} times") in error.value.message
+
+
+def test_a_stream_that_kills_its_server_is_repeated_once(client: Client, server: FakeServer) -> None:
+    session = client("resume", session="one")["session"]
+    with DyingServer() as dying:
+        client("connect", address=dying.address, first_pause=0.01, timeout=30.0)
+        for call, arguments in (("resume", {"session": "one"}), ("get_configuration", {"configuration": "one"})):
+            before = len(dying.times)
+            with pytest.raises(Refused) as error:
+                client(call, **arguments)
+            assert error.value.code == "UNAVAILABLE" and len(dying.times) == before + 2
+    assert session
+
+
+def test_refused_connections_cost_no_attempts(client: Client) -> None:
+    """A server that is started again, or later, is waited for as long as the timeout allows."""
+    with FakeServer() as server:
+        address = server.address
+    client("connect", address=address, first_pause=0.01, timeout=30.0)
+    later = FakeServer(address=address)
+
+    def start() -> None:
+        time.sleep(1.5)
+        later.__enter__()
+
+    starting = threading.Thread(target=start)
+    starting.start()
+    try:
+        assert client("status")["version"] == "fake"
+        assert len(later.calls) == 1
+    finally:
+        starting.join()
+        later.__exit__(None, None, None)
+    client("connect", address=address, first_pause=0.01, timeout=0.5)
+    with pytest.raises(Refused) as error:
+        client("status")
+    assert error.value.code in ("UNAVAILABLE", "DEADLINE_EXCEEDED")
+    if error.value.code == "UNAVAILABLE":
+        assert address in error.value.message and " times)" in error.value.message
 
 
 def test_a_stream_that_breaks_begins_anew(client: Client, server: FakeServer) -> None:

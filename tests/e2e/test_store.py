@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import os
 import subprocess
+import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import grpc
+import moldline
 import numpy as np
 import pytest
 from moldline import arrays
@@ -102,16 +105,86 @@ def test_gc_says_what_it_would_remove_and_verify_finds_damage(binary: Path, setu
         return subprocess.run(command, capture_output=True, text=True, timeout=60)
 
     with Server(binary, store=store) as server, server.client() as client:
-        client.create_setup(setup_folder).session().close()
+        setup = client.create_setup(setup_folder)
+        setup.session().close()
+        setup.delete()
     plan = run("gc", "--dry-run", "--grace", "0s")
-    assert plan.returncode == 0 and "would remove 2 objects" in plan.stdout and "session/local/" in plan.stdout
+    assert plan.returncode == 0 and f"setup/{setup.id}" in plan.stdout and "access/local/" in plan.stdout
+    count = plan.stdout.splitlines()[-1].removeprefix("would remove ").split()[0]
     assert "removed 0 objects" in run("gc").stdout, "all is younger than the grace period"
-    assert "removed 2 objects" in run("gc", "--grace", "0s").stdout
+    assert f"removed {count} objects" in run("gc", "--grace", "0s").stdout
+    assert not list((store / "blob").iterdir())
     assert run("verify").returncode == 0
+    with Server(binary, store=store) as server, server.client() as client:
+        client.create_setup(setup_folder)
     blob = next((store / "blob").iterdir())
     blob.write_bytes(blob.read_bytes()[:-1])
     damaged = run("verify")
     assert damaged.returncode == 1 and blob.name in damaged.stdout
+
+
+def test_a_server_collects_its_store(binary: Path, setup_folder: Path, tmp_path: Path) -> None:
+    store = tmp_path / "store"
+    with Server(binary, store=store) as server, server.client() as client:
+        setup = client.create_setup(setup_folder)
+        setup.delete()
+    days_ago = time.time() - 3 * 24 * 3600
+    for path in store.rglob("*"):
+        os.utime(path, (days_ago, days_ago))
+    with Server(binary, "--collect-every", "8s", store=store) as server, server.client() as client:
+        deadline = time.monotonic() + 60
+        while list((store / "blob").iterdir()):
+            assert time.monotonic() < deadline, "".join(server.log)
+            time.sleep(0.1)
+        client.create_setup(setup_folder)
+        assert server.stop() == 0
+    assert any("collected the store" in line for line in server.log)
+    refused = subprocess.run(
+        [str(binary), "serve", "--store", str(store), "--collect-grace", "30m"],
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert refused.returncode != 0 and "less than an hour" in refused.stderr
+
+
+def test_a_store_that_vanished_is_told(binary: Path, setup_folder: Path, tmp_path: Path) -> None:
+    store, aside = tmp_path / "store", tmp_path / "aside"
+    missing = subprocess.run(
+        [str(binary), "serve", "--store", str(store), "--existing-store"], capture_output=True, text=True, timeout=60
+    )
+    assert missing.returncode != 0 and not store.exists()
+    with Server(binary, store=store) as server, server.client(retry=moldline.Retry(attempts=1)) as client:
+        assert store.stat().st_mode & 0o077 == 0
+        setup = client.create_setup(setup_folder)
+        store.rename(aside)
+        for call in (lambda: client.create_setup(setup_folder), lambda: setup.session(), client.status):
+            with pytest.raises(moldline.Unavailable, match="vanished"):
+                call()
+        assert not store.exists()
+        aside.rename(store)
+        setup.session().close()
+
+
+@pytest.mark.parametrize("servers", [1, 2])
+def test_quotas_hold_for_many_at_once(binary: Path, setup_folder: Path, tmp_path: Path, servers: int) -> None:
+    with ExitStack() as stack:
+        options = ("--max-sessions", "10")
+        places = [stack.enter_context(Server(binary, *options, store=tmp_path / "store")) for _ in range(servers)]
+        clients = [stack.enter_context(server.client(retry=moldline.Retry(attempts=1))) for server in places]
+        setup = clients[0].create_setup(setup_folder)
+        stubs = [stack.enter_context(stub(server)) for server in places]
+
+        def attempt(k: int) -> str:
+            call = stubs[k % servers].OpenSession.future(wire.OpenSessionRequest(setup_id=setup.id), timeout=60)
+            return "opened" if call.exception() is None else call.code().name
+
+        with ThreadPoolExecutor(16) as pool:
+            outcomes = list(pool.map(attempt, range(60)))
+        opened = outcomes.count("opened")
+        assert opened + outcomes.count("RESOURCE_EXHAUSTED") == 60
+        assert opened <= 10 and (servers > 1 or opened == 10)
+        assert clients[-1].status().sessions == opened
 
 
 @pytest.mark.parametrize("command", [["verify"], ["gc", "--dry-run"], ["gc"]], ids=" ".join)

@@ -83,9 +83,43 @@ def body(scratch: Path) -> Iterator[bytes]:
     yield b"\3" + b"2,3".ljust(48) + matrix.tobytes()
 
 
+def step(scratch: Path) -> Iterator[bytes]:
+    """What follows `DATA;`: a box of loose surfaces, and a unit."""
+    corner = np.array([[[[x, y, z] for z in (0.0, 1.0)] for y in (0.0, 1.0)] for x in (0.0, 1.0)])
+    lines = [
+        "#1=(GEOMETRIC_REPRESENTATION_CONTEXT(3)GLOBAL_UNIT_ASSIGNED_CONTEXT((#2)));",
+        "#2=(LENGTH_UNIT()NAMED_UNIT(*)SI_UNIT(.MILLI.,.METRE.));",
+    ]
+    surfaces = []
+    for axis in range(3):
+        for points in np.moveaxis(corner, axis, 0):
+            names = [f"#{len(lines) + k + 1}" for k in range(5)]
+            for name, point in zip(names, points.reshape(4, 3), strict=False):
+                lines.append(f"{name}=CARTESIAN_POINT('',({','.join(f'{x:.1f}' for x in point)}));")
+            a, b, c, d, surface = names
+            net = f"(({a},{b}),({c},{d})),.UNSPECIFIED.,.F.,.F.,.F."
+            knots = "(2,2),(2,2),(0.,1.),(0.,1.),.UNSPECIFIED."
+            lines.append(f"{surface}=B_SPLINE_SURFACE_WITH_KNOTS('Surf_ABCDEFGHIJ, Box, 0',1,1,{net},{knots});")
+            surfaces.append(surface)
+    yield "\n".join(lines).encode()
+    grouped = [*lines, f"#{len(lines) + 1}=GEOMETRIC_SET('ABCDEFGHIJ, Box, 0',({','.join(surfaces)}));"]
+    yield "\n".join(grouped).encode()
+
+
+def iges(scratch: Path) -> Iterator[bytes]:
+    """What follows the start section: one bilinear surface."""
+    parameters = "128,1,1,1,1,0,0,1,0,0,0.,0.,1.,1.,0.,0.,1.,1.,1.,1.,1.,1.,0.,0.,0.,1.,0.,0.,0.,1.,0.,1.,1.,0.,0.,1.,0.,1.;"
+    pieces = [parameters[k : k + 64] for k in range(0, len(parameters), 64)]
+    lines = [f"{',,,,,,,,,,,,,6,1HM;':72}G      1"]
+    lines += ["".join(f"{f:>8}" for f in (128, 1, 0, 0, 0, 0, 0, 0, 0)) + "D      1"]
+    lines += ["".join(f"{f:>8}" for f in (128, 0, 0, len(pieces), 0, "", "", "", 0)) + "D      2"]
+    lines += [f"{piece:64}{1:>8}P{k + 1:>7}" for k, piece in enumerate(pieces)]
+    yield "\n".join(lines).encode()
+
+
 def main() -> None:
     folder = Path(sys.argv[1])
-    for target in (setup, mesh, archive, body):
+    for target in (setup, mesh, archive, body, step, iges):
         seeds = folder / target.__name__
         seeds.mkdir(parents=True, exist_ok=True)
         for index, seed in enumerate(target(folder / "scratch")):

@@ -20,7 +20,7 @@ import sphere_and_boom
 E175 = Path(__file__).resolve().parents[2] / "examples" / "e175"
 
 #: Retries for more than a minute, since servers come and go.
-PATIENT = moldline.Retry(attempts=1000, longest_pause=0.5)
+PATIENT = moldline.Retry(longest_pause=0.5, losses=1000)
 #: No retries: every refusal is counted.
 IMPATIENT = moldline.Retry(attempts=1)
 

@@ -32,6 +32,10 @@ pub fn test(all: bool) -> Outcome {
     steps.of(run("cargo test", &mut tests));
     steps.of(build_moldline(false).and_then(|binary| {
         let clients = Clients::built()?;
+        // Without them the tests of gmsh's dialects say so and are left out.
+        if let Err(message) = python.gmsh_libraries() {
+            eprintln!("    {message}");
+        }
         let mut pytest = python.module("pytest");
         pytest.args(["-q", "--durations=5", "tests/e2e", "xtask/scripts/demo", "examples/e175/study"]);
         pytest.env("MOLDLINE_BINARY", binary);

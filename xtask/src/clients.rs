@@ -8,7 +8,10 @@ use std::{
     thread,
 };
 
-use crate::process::{Outcome, cargo, command, root, run};
+use crate::{
+    packages::{self, succeeds},
+    process::{Outcome, cargo, command, root, run},
+};
 
 /// Debian packages of the tools and libraries that the C++ client needs.
 const PACKAGES: [&str; 6] =
@@ -40,7 +43,10 @@ impl Clients {
             .args(["-S", "client/cpp", "-DMOLDLINE_WERROR=ON", "-DMOLDLINE_TESTS=ON", "-B"])
             .arg(&library);
         if !succeeds(&mut configure) {
-            install_packages()?;
+            packages::install(
+                &PACKAGES,
+                "the C++ client does not configure without CMake, a C++17 compiler, protobuf and gRPC",
+            )?;
             // CMake caches missing libraries.
             let _ = fs::remove_file(library.join("CMakeCache.txt"));
             run("configure the C++ client", &mut configure)?;
@@ -75,27 +81,4 @@ fn cmake() -> Command {
 fn build(title: &str, folder: &Path) -> Outcome {
     let cores = thread::available_parallelism().map_or(1, NonZeroUsize::get).to_string();
     run(title, cmake().arg("--build").arg(folder).args(["--parallel", &cores]))
-}
-
-fn succeeds(command: &mut Command) -> bool {
-    command.stdout(Stdio::null()).stderr(Stdio::null()).status().is_ok_and(|status| status.success())
-}
-
-/// Installs the prerequisites of the C++ client, where that needs no password.
-fn install_packages() -> Outcome {
-    let packages = PACKAGES.join(" ");
-    let is_root = command("id").arg("-u").output().is_ok_and(|output| output.stdout.trim_ascii() == b"0");
-    if !is_root || !succeeds(command("apt-get").arg("--version")) {
-        return Err(format!(
-            "the C++ client does not configure without CMake, a C++17 compiler, protobuf and gRPC; \
-             install them (Debian: apt-get install {packages})"
-        ));
-    }
-    let apt = || {
-        let mut apt = command("apt-get");
-        apt.args(["--quiet", "--yes"]).env("DEBIAN_FRONTEND", "noninteractive").stdout(Stdio::null());
-        apt
-    };
-    run("package lists", apt().arg("update"))?;
-    run(&packages, apt().args(["install", "--no-install-recommends"]).args(PACKAGES))
 }

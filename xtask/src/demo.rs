@@ -41,13 +41,25 @@ pub fn validate_panel() -> Outcome {
 pub fn torture(short: bool, only: &[String]) -> Outcome {
     let python = Python::ready()?;
     let binary = build_moldline(true)?;
-    let mut script = python.script("tests/torture/torture.py");
-    script.arg("--binary").arg(binary).arg("--out").arg(root().join("out/torture.json"));
+    trials(&python, "torture", binary, short, only)
+}
+
+/// Attacks (silent connections, floods, bombs, greedy tenants): `tests/attack/attack.py` against the release build.
+pub fn attack(short: bool, only: &[String]) -> Outcome {
+    let python = Python::ready()?;
+    let binary = build_moldline(true)?;
+    trials(&python, "attack", binary, short, only)
+}
+
+/// Runs `tests/NAME/NAME.py`, which writes its figures to `out/NAME.json`.
+fn trials(python: &Python, name: &str, binary: PathBuf, short: bool, only: &[String]) -> Outcome {
+    let mut script = python.script(&format!("tests/{name}/{name}.py"));
+    script.arg("--binary").arg(binary).arg("--out").arg(root().join(format!("out/{name}.json")));
     if short {
         script.arg("--short");
     }
     script.args(only.iter().flat_map(|trial| ["--only", trial.as_str()]));
-    run("torture", &mut script)
+    run(name, &mut script)
 }
 
 /// The fillet against rho (Fig. 5 of the paper).

@@ -1,5 +1,5 @@
 //! The repository's own commands: `cargo xtask demo | figures | study | validate-panel | test | lint | clients | bench |
-//! torture | fuzz`.
+//! torture | attack | fuzz`.
 //!
 //! They need only Rust, a C compiler and Python >= 3.11. Everything else comes from crates.io and PyPI, into `target/`, except
 //! the libraries of the C++ client, which come from the distribution.
@@ -10,6 +10,7 @@ mod clients;
 mod demo;
 mod fuzz;
 mod links;
+mod packages;
 mod process;
 mod python;
 mod tools;
@@ -76,6 +77,15 @@ enum Command {
         #[arg(long, value_name = "TRIAL")]
         only: Vec<String>,
     },
+    /// Attack a server: connections, memory, tenants, drains; figures go to out/attack.json
+    Attack {
+        /// Less of everything: two minutes at most
+        #[arg(long)]
+        short: bool,
+        /// Run only this attack, such as `bodies`; may be repeated
+        #[arg(long, value_name = "ATTACK")]
+        only: Vec<String>,
+    },
     /// Fuzz the readers of set-ups, meshes, archives and request bodies with cargo-fuzz, which is installed if missing
     Fuzz {
         /// Seconds for each target
@@ -98,6 +108,7 @@ fn main() -> ExitCode {
         Command::Clients => clients::Clients::built().map(drop),
         Command::Bench { large, large_folder } => bench::bench(large, large_folder),
         Command::Torture { short, only } => demo::torture(short, &only),
+        Command::Attack { short, only } => demo::attack(short, &only),
         Command::Fuzz { seconds, only } => fuzz::fuzz(seconds, &only),
     };
     match outcome {

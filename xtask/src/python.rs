@@ -6,7 +6,10 @@ use std::{
     process::{Command, Stdio},
 };
 
-use crate::process::{Outcome, command, root, run};
+use crate::{
+    packages,
+    process::{Outcome, command, root, run},
+};
 
 /// Oldest Python, as (major, minor).
 const OLDEST: (u32, u32) = (3, 11);
@@ -59,6 +62,21 @@ impl Python {
     /// Installs the mesher (gmsh).
     pub fn with_meshing(&self) -> Outcome {
         run("gmsh from PyPI", self.pip().args(["--requirement", MESHING]))
+    }
+
+    /// Installs the libraries of the window system that gmsh loads, if it does not find them.
+    ///
+    /// # Errors
+    /// If they are missing and this user cannot install them.
+    pub fn gmsh_libraries(&self) -> Outcome {
+        let mut probe = command(&self.interpreter);
+        if packages::succeeds(probe.args(["-c", "import gmsh"])) {
+            return Ok(());
+        }
+        packages::install(
+            &["libglu1-mesa", "libxft2", "libxcursor1"],
+            "gmsh does not load without libraries of X11",
+        )
     }
 
     /// A command that runs a script with this environment's Python.

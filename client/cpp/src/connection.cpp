@@ -61,15 +61,30 @@ std::mt19937_64& generator() {
   return generator;
 }
 
-bool again(const Failure& failure) {
-  return failure.code == grpc::StatusCode::UNAVAILABLE ||
-         (failure.code == grpc::StatusCode::RESOURCE_EXHAUSTED && failure.retry_after);
+/// How long a call without a timeout is repeated.
+constexpr std::chrono::minutes patience{10};
+/// Pause before a call is repeated whose connection broke, in first pauses.
+constexpr double after_loss = 10.0;
+
+/// The error, saying what was tried where.
+Failure told(Failure failure, const std::string& address, int failed, int lost) {
+  const std::string times = failed == 1 ? "once" : std::to_string(failed) + " times";
+  std::string what = "called " + times;
+  if (lost > 0) {
+    const std::string under = lost == 1 ? "the call" : std::to_string(lost) + " of the calls";
+    what += ", and the connection broke under " + under + ", which the server may have died of";
+  } else if (failed == 1 && failure.answered) {
+    return failure;
+  }
+  failure.message += " (" + address + ": " + what + ")";
+  return failure;
 }
 
 }  // namespace
 
 Caller::Caller(const std::string& address, const Options& options)
-    : options_(options),
+    : address_(address),
+      options_(options),
       channel_(grpc::CreateCustomChannel(address, credentials(options.tls), arguments(options.tls))) {}
 
 Budget Caller::budget(const CallOptions& options, Seconds otherwise) const {
@@ -83,7 +98,10 @@ Budget Caller::budget(const CallOptions& options, Seconds otherwise) const {
 
 void Caller::attempts(
     const Budget& budget, const std::function<grpc::Status(grpc::ClientContext&)>& attempt) const {
-  Seconds longest = options_.retry.first_pause;
+  const Retry& retry = options_.retry;
+  const Clock::time_point end = budget.end == Clock::time_point::max() ? Clock::now() + patience : budget.end;
+  Seconds longest = retry.first_pause;
+  int lost = 0;
   for (int failed = 1;; ++failed) {
     grpc::ClientContext context;
     if (!options_.token.empty()) context.AddMetadata("authorization", "Bearer " + options_.token);
@@ -101,11 +119,13 @@ void Caller::attempts(
       // A server may report the deadline as a cancellation.
       failed_with.code = grpc::StatusCode::DEADLINE_EXCEEDED;
     }
-    if (!again(failed_with) || failed >= options_.retry.attempts) raise(failed_with);
+    lost += failed_with.lost;
     std::uniform_real_distribution<double> share(0.0, 1.0);
-    const Seconds pause = failed_with.retry_after.value_or(Seconds(0.0)) + share(generator()) * longest;
-    longest = std::min(2.0 * longest, options_.retry.longest_pause);
-    if (budget.end != Clock::time_point::max() && pause >= budget.end - Clock::now()) raise(failed_with);
+    Seconds pause = failed_with.retry_after.value_or(Seconds(0.0)) + share(generator()) * longest;
+    if (failed_with.lost) pause += after_loss * retry.first_pause;
+    longest = std::min(2.0 * longest, retry.longest_pause);
+    const bool again = failed_with.passes && failed < retry.attempts && lost <= retry.losses;
+    if (!again || pause >= end - Clock::now()) raise(told(failed_with, address_, failed, lost));
     sleep(pause, budget.cancellation);
   }
 }

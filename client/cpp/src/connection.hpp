@@ -38,6 +38,7 @@ class Caller {
   const std::shared_ptr<grpc::Channel>& channel() const { return channel_; }
 
  private:
+  std::string address_;
   Options options_;
   std::shared_ptr<grpc::Channel> channel_;
 };

@@ -148,6 +148,9 @@ SetupFacts setup_facts(const v1::SetupDescription& message, bool built) {
   for (const auto& f : message.functions()) facts.functions.push_back({f.name(), f.unit(), f.value()});
   facts.vertex_count = message.vertex_count();
   facts.cell_count = message.cell_count();
+  facts.turned_cell_count = message.turned_cell_count();
+  const v1::LeftOut& left_out = message.left_out();
+  facts.left_out = {left_out.nodes(), left_out.merged_nodes(), left_out.other_cells(), left_out.collapsed_cells()};
   facts.build_time = Seconds(message.build_seconds());
   return facts;
 }

@@ -13,6 +13,12 @@ struct Failure {
   std::string message;
   std::vector<FieldViolation> violations;
   std::optional<Seconds> retry_after;
+  /// Whether the server answered; if not, the error is that of this side, or of a proxy.
+  bool answered = true;
+  /// Whether the connection broke after the call was sent: the server may have carried it out, or died of it.
+  bool lost = false;
+  /// Whether another attempt may succeed.
+  bool passes = false;
 };
 
 Failure failure(const grpc::Status& status);

@@ -209,6 +209,7 @@ Configuration Client::create_configuration(
   }
   choices.set_solver(static_cast<v1::PanelSolver>(options.solver));
   if (options.tolerance) choices.set_tolerance(*options.tolerance);
+  if (options.merge_tolerance) choices.set_merge_tolerance(*options.merge_tolerance);
   ConfigurationFacts found = create(*connection_, *request, connection_->budget(options));
   return {connection_, std::move(found), std::move(request)};
 }

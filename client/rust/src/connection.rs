@@ -15,7 +15,7 @@ use tonic::{
     transport::{Certificate, Channel, ClientTlsConfig, Endpoint, Identity},
 };
 
-use crate::{Code, Error};
+use crate::{Code, Error, error::Origin};
 
 /// Bytes of the largest message.
 const LARGEST_MESSAGE: usize = 512 << 20;
@@ -55,27 +55,43 @@ pub struct Tls {
 
 /// Retry policy: exponential backoff with jitter, within the timeout of the call.
 ///
-/// Calls are retried if the server cannot be reached or is stopping ([`Code::Unavailable`]), or if it is full and names a
-/// delay ([`Code::ResourceExhausted`]). All calls are safe to repeat: they change nothing, or carry a request id by which
-/// the server recognises them.
+/// Calls are repeated if the server cannot be reached, or answers that it is stopping ([`Code::Unavailable`]) or is full and
+/// names a delay ([`Code::ResourceExhausted`]): it has not begun with them. All calls are safe to repeat: they change nothing,
+/// or carry a request id by which the server recognises them.
+///
+/// A call whose connection broke after it was sent ([`Origin::Lost`]) may be what the server died of. It is repeated once,
+/// after a longer pause, unless `losses` says otherwise.
 ///
 /// The pause before attempt k + 1 is the delay that the server names, plus a random share of `first_pause * 2^(k-1)`, so
 /// that clients that failed together do not return together.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Retry {
-    /// Number of attempts, including the first; 1 for no retry.
+    /// Number of attempts, including the first; 1 for no retry. By default as many as the timeout allows (without a timeout: as
+    /// are made within 10 minutes).
     pub attempts: u32,
     /// Upper bound of the first random pause.
     pub first_pause: Duration,
     /// Upper bound of all random pauses.
     pub longest_pause: Duration,
+    /// How often a call is repeated whose connection broke after it was sent.
+    pub losses: u32,
 }
 
 impl Default for Retry {
     fn default() -> Self {
-        Self { attempts: 10, first_pause: Duration::from_millis(100), longest_pause: Duration::from_secs(5) }
+        Self {
+            attempts: u32::MAX,
+            first_pause: Duration::from_millis(100),
+            longest_pause: Duration::from_secs(5),
+            losses: 1,
+        }
     }
 }
+
+/// How long a call without a timeout is repeated.
+const PATIENCE: Duration = Duration::from_secs(600);
+/// Pause before a call is repeated whose connection broke, in first pauses.
+const AFTER_LOSS: u32 = 10;
 
 /// Options of a connection.
 #[derive(Clone, Debug)]
@@ -98,6 +114,7 @@ impl Default for Options {
 
 #[derive(Debug)]
 pub struct Connection<S> {
+    address: String,
     stub: S,
     authorization: Option<MetadataValue<Ascii>>,
     retry: Retry,
@@ -124,7 +141,8 @@ impl<S: Stub> Connection<S> {
                 Error::client("the token contains characters that a header must not contain")
             })?),
         };
-        Ok(Self { stub: S::over(endpoint.connect_lazy()), authorization, retry: options.retry })
+        let (address, stub) = (address.to_owned(), S::over(endpoint.connect_lazy()));
+        Ok(Self { address, stub, authorization, retry: options.retry })
     }
 
     /// A unary call.
@@ -154,8 +172,10 @@ impl<S: Stub> Connection<S> {
     where
         F: Future<Output = Result<A, Error>>,
     {
-        let mut longest = self.retry.first_pause;
-        let mut failed = 0;
+        let Retry { attempts, first_pause, longest_pause, losses } = self.retry;
+        let patience = Deadline(deadline.0.or_else(|| Instant::now().checked_add(PATIENCE)));
+        let mut longest = first_pause;
+        let (mut failed, mut lost) = (0, 0);
         loop {
             let answer = attempt(self.stub.clone(), self.request(deadline));
             let error = match deadline.limit(answer).await {
@@ -163,13 +183,32 @@ impl<S: Stub> Connection<S> {
                 Err(error) => error,
             };
             failed += 1;
-            let pause = error.retry_after.unwrap_or_default() + longest.mul_f64(fastrand::f64());
-            longest = self.retry.longest_pause.min(2 * longest);
-            if !error.may_pass() || failed >= self.retry.attempts || deadline.passes_within(pause) {
-                return Err(error);
+            let mut pause = error.retry_after.unwrap_or_default() + longest.mul_f64(fastrand::f64());
+            if error.origin == Origin::Lost {
+                lost += 1;
+                pause += AFTER_LOSS * first_pause;
+            }
+            longest = longest_pause.min(2 * longest);
+            let again = error.may_pass() && failed < attempts && lost <= losses;
+            if !again || patience.passes_within(pause) {
+                return Err(self.told(error, failed, lost));
             }
             sleep(pause).await;
         }
+    }
+
+    /// The error, saying what was tried where.
+    fn told(&self, mut error: Error, failed: u32, lost: u32) -> Error {
+        let times = if failed == 1 { "once".to_owned() } else { format!("{failed} times") };
+        let mut what = format!("called {times}");
+        if lost > 0 {
+            let under = if lost == 1 { "the call".to_owned() } else { format!("{lost} of the calls") };
+            what += &format!(", and the connection broke under {under}, which the server may have died of");
+        } else if failed == 1 && error.origin == Origin::Server {
+            return error;
+        }
+        error.message = format!("{} ({}: {what})", error.message, self.address);
+        error
     }
 
     /// A request with the token and the deadline.

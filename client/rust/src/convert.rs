@@ -6,7 +6,7 @@ use moldline_proto::v1::{self, Array, DataType, check_request, deform_request, d
 
 use crate::{
     At, CacheStatus, CellQuality, ControlPoints, Deformation, Design, DesignPoint, Distribution, Error,
-    Function, Linearisation, Mesh, Point, QualityReport, QualitySummary, Residuals, SessionState,
+    Function, LeftOut, Linearisation, Mesh, Point, QualityReport, QualitySummary, Residuals, SessionState,
     SetupAccess, SetupFacts, SetupSummary, Status, Timings, Variable, VariableGroup, Visibility, Work,
 };
 
@@ -113,6 +113,13 @@ pub fn setup_facts(message: Option<v1::SetupDescription>, built: bool) -> Result
         functions: functions.collect(),
         vertex_count: message.vertex_count as usize,
         cell_count: message.cell_count as usize,
+        turned_cell_count: message.turned_cell_count as usize,
+        left_out: message.left_out.map_or_else(LeftOut::default, |of| LeftOut {
+            nodes: of.nodes as usize,
+            merged_nodes: of.merged_nodes as usize,
+            other_cells: of.other_cells as usize,
+            collapsed_cells: of.collapsed_cells as usize,
+        }),
         build_time: seconds(message.build_seconds),
     })
 }

@@ -86,11 +86,33 @@ pub struct Error {
     pub violations: Vec<FieldViolation>,
     /// Delay after which a retry may succeed, if any.
     pub retry_after: Option<Duration>,
+    /// Where the error comes from.
+    pub origin: Origin,
+}
+
+/// Where an error comes from.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Origin {
+    /// The server answered so.
+    #[default]
+    Server,
+    /// This side, and the server has not seen the call.
+    Unsent,
+    /// The connection broke after the call was sent: the server may have carried it out, or died of it.
+    Lost,
+    /// One side does not trust the other.
+    Trust,
 }
 
 impl Error {
     pub(crate) fn new(code: Code, message: impl Into<String>) -> Self {
-        Self { code, message: message.into(), violations: Vec::new(), retry_after: None }
+        Self {
+            code,
+            message: message.into(),
+            violations: Vec::new(),
+            retry_after: None,
+            origin: Origin::default(),
+        }
     }
 
     pub(crate) fn client(message: impl Into<String>) -> Self {
@@ -108,7 +130,7 @@ impl Error {
     /// Whether a retry may succeed.
     pub(crate) fn may_pass(&self) -> bool {
         match self.code {
-            Code::Unavailable => true,
+            Code::Unavailable => self.origin != Origin::Trust,
             Code::ResourceExhausted => self.retry_after.is_some(),
             _ => false,
         }
@@ -130,8 +152,26 @@ impl From<tonic::Status> for Error {
                 })
                 .collect(),
             retry_after: details.retry_info().and_then(|retry| retry.retry_delay),
+            origin: origin(&status),
         }
     }
+}
+
+/// A server sends details with every error; without them it is the error of this side, or of a proxy.
+fn origin(status: &tonic::Status) -> Origin {
+    if code(status) != Code::Unavailable || !status.details().is_empty() {
+        return Origin::Server;
+    }
+    let says = |text: &str| causes(status).any(|cause| cause.to_string().contains(text));
+    if says("invalid peer certificate") {
+        return Origin::Trust;
+    }
+    // A call that was cancelled before it was written, or that the server has refused to begin with.
+    let unsent = causes(status).any(|cause| cause.is::<tonic::ConnectError>())
+        || says("operation was canceled")
+        || says("refused stream")
+        || says("connection refused");
+    if unsent { Origin::Unsent } else { Origin::Lost }
 }
 
 fn code(status: &tonic::Status) -> Code {

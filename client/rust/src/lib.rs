@@ -31,11 +31,11 @@ mod upload;
 pub use check::{Check, CheckedDesign, CheckedVariable, Difference, DotProduct, Kink, StageError};
 pub use client::{CheckOptions, Client, CreateOptions, Session, Setup};
 pub use connection::{Options, Retry, Tls};
-pub use error::{Code, Error, FieldViolation};
+pub use error::{Code, Error, FieldViolation, Origin};
 pub use model::{
     At, CacheStatus, CellQuality, ControlPoints, Deformation, Design, DesignPoint, Directions, Distribution,
-    Function, Gradients, Jacobian, Linearisation, Mesh, Point, Progress, QualityReport, QualitySummary,
-    Residuals, Seeds, SessionState, SessionUpdate, SetupAccess, SetupFacts, SetupSummary, Status, Tangents,
-    Timings, Variable, VariableGroup, Visibility, Work,
+    Function, Gradients, Jacobian, LeftOut, Linearisation, Mesh, Point, Progress, QualityReport,
+    QualitySummary, Residuals, Seeds, SessionState, SessionUpdate, SetupAccess, SetupFacts, SetupSummary,
+    Status, Tangents, Timings, Variable, VariableGroup, Visibility, Work,
 };
 pub use progress::Tell;

@@ -112,8 +112,25 @@ pub struct SetupFacts {
     pub vertex_count: usize,
     /// Number of cells of the mesh.
     pub cell_count: usize,
+    /// Cells of closed pieces that pointed inwards and were turned.
+    pub turned_cell_count: usize,
+    /// Parts of the mesh file that are not in the mesh.
+    pub left_out: LeftOut,
     /// Time that the engine took to build it.
     pub build_time: Duration,
+}
+
+/// Parts of a mesh file that are not in the mesh.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LeftOut {
+    /// Nodes that no triangle or quadrilateral uses.
+    pub nodes: usize,
+    /// Nodes that were merged into others.
+    pub merged_nodes: usize,
+    /// Cells other than triangles and quadrilaterals.
+    pub other_cells: usize,
+    /// Cells that collapsed when nodes were merged.
+    pub collapsed_cells: usize,
 }
 
 impl SetupFacts {

@@ -3,15 +3,33 @@
 use std::sync::Arc;
 
 use bytes::Bytes;
-use moldline_host::{Principal, Product, ServiceError};
+use moldline_host::{Principal, Product, Role, ServiceError, shorten};
 use moldline_mesh_service::{Service, SetupView, UploadHeader, Wanted};
 use moldline_proto::v1;
-use moldline_transport::Deadline;
+use moldline_transport::{Deadline, Method, media::beside};
 use tokio::sync::mpsc;
 use tokio_stream::{Stream, StreamExt};
 use tracing::{Instrument, Span};
 
 use crate::convert;
+
+/// Messages with columns of a Jacobian that wait for their receiver.
+const WAITING: usize = 4;
+/// Bytes of such a message, about.
+const MESSAGE: usize = 1 << 20;
+/// Bytes of the columns that wait for their receiver.
+pub const WAITING_COLUMNS: u64 = ((WAITING + 1) * MESSAGE) as u64;
+
+/// What a method needs, by its name.
+pub fn method(name: &str) -> Method {
+    let role = match name {
+        "GetSetup" | "ListSetups" | "GetSession" | "ListSessions" | "GetStatus" | "GetOperation" => {
+            Role::Reader
+        }
+        _ => Role::User,
+    };
+    Method { role, streamed: name == "CreateSetup" }
+}
 
 /// The RPCs of the mesh service.
 #[derive(Clone, Debug)]
@@ -66,7 +84,13 @@ impl MeshApi {
     ) -> Answer<v1::GetSetupResponse> {
         record_setup(&request.setup_id);
         let SetupView { setup, access } = self.service.get_setup(caller, &request.setup_id).await?;
-        let mesh = request.include_mesh.then(|| convert::setups::mesh(&setup));
+        let mesh = match request.include_mesh {
+            true => {
+                let (setup, bytes) = (Arc::clone(&setup), setup.engine.bytes());
+                Some(beside(bytes, move || Ok::<_, ServiceError>(convert::setups::mesh(&setup))).await?)
+            }
+            false => None,
+        };
         let control_points = match request.include_control_points {
             true => convert::setups::control_points(&setup)?,
             false => Vec::new(),
@@ -201,7 +225,7 @@ impl MeshApi {
         request: v1::JacobianRequest,
     ) -> mpsc::Receiver<Answer<v1::JacobianResponse>> {
         // Bounded: a client that reads slowly delays its own columns only, and few of them wait.
-        let (sender, columns) = mpsc::channel(4);
+        let (sender, columns) = mpsc::channel(WAITING);
         let api = self.clone();
         let work = async move {
             let outcome = tokio::select! {
@@ -224,7 +248,6 @@ impl MeshApi {
         v1::JacobianRequest { session_id, at }: v1::JacobianRequest,
         sender: &mpsc::Sender<Answer<v1::JacobianResponse>>,
     ) -> Answer<()> {
-        const MESSAGE: usize = 1 << 20;
         record_session(&session_id);
         let at = convert::derivatives::at(at)?;
         let Product { value: at, mut timing } = self.service.linearised(caller, &session_id, at).await?;
@@ -287,10 +310,10 @@ impl MeshApi {
 
 /// Names the set-up in the request's span.
 fn record_setup(id: &str) {
-    Span::current().record("setup", id);
+    Span::current().record("setup", shorten(id));
 }
 
 /// Names the session in the request's span.
 fn record_session(id: &str) {
-    Span::current().record("session", id);
+    Span::current().record("session", shorten(id));
 }

@@ -1,11 +1,14 @@
 //! The command line: the commands. The options of a command are beside it.
 
-use clap::{Parser, Subcommand};
+use clap::{Args, CommandFactory, Parser, Subcommand};
 
 use crate::{
     check::CheckOptions,
     deform::DeformOptions,
+    failure::Failure,
+    import::ImportCommand,
     mesh::MeshOptions,
+    output::say,
     panel::{analyze::AnalyzeOptions, serve::PanelServeOptions},
     serve::ServeOptions,
     setup::{SchemaOptions, SetupOptions},
@@ -39,8 +42,10 @@ pub enum Command {
     Status(StatusOptions),
     /// Create, list and revoke the tokens that a server accepts
     Token(TokenOptions),
-    /// Deform the mesh of a set-up on this machine and write it as VTU
+    /// Deform the mesh of a set-up on this machine and write it as VTU, MSH or STL
     Deform(DeformOptions),
+    /// Make a set-up of an aircraft file: STEP or IGES, untrimmed
+    Import(ImportCommand),
     /// Mesh the union of a set-up's components
     Mesh(MeshOptions),
     /// Build a set-up on this machine and print its report
@@ -49,9 +54,25 @@ pub enum Command {
     Check(CheckOptions),
     /// Print the JSON Schema of set-up or geometry files
     Schema(SchemaOptions),
+    /// Print a script that completes commands and options in a shell
+    Completions(CompletionOptions),
     /// Maintain a store of set-ups and sessions
     #[command(subcommand)]
     Store(StoreCommand),
+}
+
+/// Options of `moldline completions`.
+#[derive(Debug, Args)]
+pub struct CompletionOptions {
+    /// The shell
+    pub shell: clap_complete::Shell,
+}
+
+/// `moldline completions`
+pub(crate) fn completions(options: &CompletionOptions) -> Result<(), Failure> {
+    let mut script = Vec::new();
+    clap_complete::generate(options.shell, &mut Cli::command(), "moldline", &mut script);
+    say(&String::from_utf8_lossy(&script))
 }
 
 /// Commands of the panel method.
@@ -65,8 +86,6 @@ pub enum PanelCommand {
 
 #[cfg(test)]
 mod tests {
-    use clap::CommandFactory;
-
     use super::*;
 
     #[test]

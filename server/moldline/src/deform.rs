@@ -1,17 +1,25 @@
 //! `moldline deform`: a deformation on local files, without a server: the same input, the same bits.
 
-use std::{collections::BTreeMap, path::PathBuf};
+use std::{
+    collections::{BTreeMap, HashMap},
+    path::PathBuf,
+};
 
 use clap::Args;
 use moldline_deform::{Deformation, Setup};
+use moldline_host::ServiceError;
 use moldline_mesh::{
-    CellQuality, SurfaceMesh,
-    io::vtu::{self, Array, Values},
+    CellQuality, Limits, Origin, SurfaceMesh,
+    io::{
+        Format, msh, stl,
+        vtu::{self, Array, Values},
+    },
 };
+use moldline_mesh_service::explained;
 
 use crate::{
     failure::Failure,
-    local::{self, Source},
+    local::{self, Built, MeshFile, Source},
     output::{say, write},
 };
 
@@ -27,7 +35,8 @@ pub struct DeformOptions {
     /// File with the design as JSON: an object of names and values, or an array of all values in order
     #[arg(long, value_name = "FILE", conflicts_with = "design")]
     pub design_file: Option<PathBuf>,
-    /// VTU file to write
+    /// File to write: .vtu with all measures; .msh, which is the mesh file of the set-up with other coordinates if that is MSH too;
+    /// or .stl
     #[arg(long, short, value_name = "FILE")]
     pub output: PathBuf,
     /// Write design and quality to this JSON file
@@ -43,12 +52,26 @@ fn assignment(text: &str) -> Result<(String, f64), String> {
 
 /// `moldline deform`
 pub fn run(options: &DeformOptions) -> Result<(), Failure> {
+    let format = Format::of_name(&options.output.to_string_lossy());
+    let format = format.ok_or_else(|| Failure::OutputFormat { path: options.output.clone() })?;
     let pool = local::pool(&options.source)?;
-    let setup = pool.install(|| local::build(&options.source))?;
+    let Built { setup, mesh_file } = pool.install(|| local::build_with_mesh(&options.source))?;
     let design = design(options, &setup)?;
-    let deformation = pool.install(|| local::with_bar(|monitor| setup.deform(&design, monitor)))?;
+    let deformation = pool.install(|| {
+        let explain = |error| explained(setup.origin(), error);
+        local::with_bar(|monitor| setup.deform(&design, monitor).map_err(explain))
+    })?;
 
-    write(&options.output, &vtu_of(&setup, &deformation))?;
+    let mesh = SurfaceMesh { vertices: deformation.vertices.clone(), ..setup.mesh().clone() };
+    let content = match (format, mesh_file) {
+        (Format::Msh, Some(file)) if file.format == Some(Format::Msh) => {
+            in_file(&file, setup.origin(), &mesh)?
+        }
+        (Format::Msh, _) => msh::write(&mesh, msh::Version::V4),
+        (Format::Stl, _) => stl::write(&mesh),
+        (Format::Vtu, _) => vtu_of(&setup, &mesh, &deformation),
+    };
+    write(&options.output, &content)?;
     say(&deformation.quality)?;
     say(&format_args!("wrote {}", options.output.display()))?;
     if let Some(path) = &options.report {
@@ -57,6 +80,19 @@ pub fn run(options: &DeformOptions) -> Result<(), Failure> {
         say(&format_args!("wrote {}", path.display()))?;
     }
     Ok(())
+}
+
+/// The user's own MSH file with the positions of the mesh, in the file's unit: version, numbers, groups and other nodes stay.
+fn in_file(file: &MeshFile, origin: &Origin, mesh: &SurfaceMesh) -> Result<Vec<u8>, Failure> {
+    let own = origin.nodes.iter().copied().zip(0_u32..);
+    let vertex_of: HashMap<u64, u32> = own.chain(origin.merged.iter().copied()).collect();
+    let position = |tag| {
+        let &vertex = vertex_of.get(&tag)?;
+        Some(mesh.vertices[vertex as usize].map(|x| x / file.unit))
+    };
+    // It has been read before.
+    msh::with_positions(&file.bytes, position, &Limits::default())
+        .map_err(|error| Failure::Refused(ServiceError::invalid("mesh.file", error.to_string())))
 }
 
 /// Design and quality, beside the quality of the reference mesh.
@@ -88,9 +124,8 @@ fn design(options: &DeformOptions, setup: &Setup) -> Result<Vec<f64>, Failure> {
 }
 
 /// The deformed mesh with its owner, seams and measures, for ParaView.
-fn vtu_of(setup: &Setup, deformation: &Deformation) -> Vec<u8> {
+fn vtu_of(setup: &Setup, mesh: &SurfaceMesh, deformation: &Deformation) -> Vec<u8> {
     let reference = setup.mesh();
-    let mesh = SurfaceMesh { vertices: deformation.vertices.clone(), ..reference.clone() };
     let mut seam = vec![0_u8; mesh.vertices.len()];
     for vertex in setup.seam_vertices() {
         seam[vertex as usize] = 1;
@@ -112,11 +147,19 @@ fn vtu_of(setup: &Setup, deformation: &Deformation) -> Vec<u8> {
         components: 1,
         values: Values::Float64(values),
     }));
-    let point_data = [
+    let numbers = |numbers: &[u64]| numbers.iter().map(|&number| number as i64).collect::<Vec<i64>>();
+    let (nodes, cells) = (numbers(&setup.origin().nodes), numbers(&setup.origin().cells));
+    let mut point_data = vec![
         Array { name: "seam", components: 1, values: Values::UInt8(&seam) },
         Array { name: "displacement", components: 3, values: Values::Float64(&displacement) },
     ];
-    vtu::write(&mesh, &point_data, &cell_data)
+    // Which node and which cell of the user's file this is.
+    let number = |values| Array { name: "number_in_file", components: 1, values: Values::Int64(values) };
+    if nodes.len() == mesh.vertices.len() && cells.len() == mesh.cells.len() {
+        point_data.push(number(&nodes));
+        cell_data.push(number(&cells));
+    }
+    vtu::write(mesh, &point_data, &cell_data)
 }
 
 #[cfg(test)]

@@ -2,8 +2,10 @@
 
 use std::{io, path::PathBuf};
 
+use moldline_aircraft_files::ImportError;
 use moldline_check::CheckError;
 use moldline_host::ServiceError;
+use moldline_mesh::io::Format;
 
 use crate::{shell::ServeError, status::StatusError};
 
@@ -29,6 +31,26 @@ pub enum Failure {
         path: PathBuf,
         /// The cause.
         error: io::Error,
+    },
+    /// An aircraft file is refused.
+    #[error("{}: {error}", path.display())]
+    Import {
+        /// The file.
+        path: PathBuf,
+        /// The cause.
+        error: ImportError,
+    },
+    /// A set-up is in the way.
+    #[error("{} exists; import into another folder, or give --force to replace it", path.display())]
+    Exists {
+        /// The set-up file.
+        path: PathBuf,
+    },
+    /// A file to write whose ending is none of a format.
+    #[error("{}: its ending is none of a format that can be written; name a {} file", path.display(), Format::ENDINGS)]
+    OutputFormat {
+        /// The file.
+        path: PathBuf,
     },
     /// The design file has another content.
     #[error("{}: {reason}", path.display())]

@@ -4,7 +4,8 @@ use std::pin::Pin;
 
 use moldline_host::{Code, Principal, ServiceError};
 use moldline_proto::{FILE_DESCRIPTOR_SET, v1};
-use moldline_transport::{Deadline, Health, status};
+use moldline_transport::{AnswerBytes, Deadline, Health, status};
+use prost::Message;
 use tokio::sync::mpsc;
 use tokio_stream::{
     Stream, StreamExt,
@@ -17,7 +18,10 @@ use v1::{
     mesh_service_server::{MeshService, MeshServiceServer},
 };
 
-use crate::{api::MeshApi, convert};
+use crate::{
+    api::{self, MeshApi},
+    convert,
+};
 
 /// The name of the mesh service.
 const SERVICE: &str = <MeshServiceServer<Grpc> as tonic::server::NamedService>::NAME;
@@ -31,7 +35,14 @@ pub async fn routes(
     let service = MeshServiceServer::new(Grpc { api })
         .max_decoding_message_size(max_message)
         .max_encoding_message_size(usize::MAX);
-    Ok((Routes::new(service), open, health))
+    let message = "this is Moldline's mesh service, not its panel service; name the address of a `moldline panel serve`";
+    Ok((refusing(Routes::new(service), "/moldline.v1.PanelService/{method}", message), open, health))
+}
+
+/// The routes, and the answer to calls of the other service: clients that met the wrong one are told so.
+pub fn refusing(routes: Routes, other: &str, message: &'static str) -> Routes {
+    let refuse = move || async move { Status::unimplemented(message).into_http::<axum::body::Body>() };
+    routes.into_axum_router().route(other, axum::routing::any(refuse)).into()
 }
 
 /// Routes of a service that need no principal: health, and reflection in both its versions.
@@ -96,7 +107,10 @@ impl MeshService for Grpc {
     async fn jacobian(&self, request: Request<v1::JacobianRequest>) -> Result<Response<Columns>, Status> {
         let (caller, deadline, request) = open(request)?;
         let columns = ReceiverStream::new(self.api.jacobian(caller, deadline, request));
-        Ok(Response::new(Box::pin(columns.map(|block| block.map_err(status)))))
+        let columns: Columns = Box::pin(columns.map(|block| block.map_err(status)));
+        let mut response = Response::new(columns);
+        response.extensions_mut().insert(AnswerBytes(api::WAITING_COLUMNS));
+        Ok(response)
     }
 
     async fn get_setup(
@@ -212,9 +226,12 @@ impl MeshService for Grpc {
     }
 }
 
-/// An answer or an error of the service, for tonic.
-pub fn answer<T>(outcome: Result<T, ServiceError>) -> Result<Response<T>, Status> {
-    outcome.map(Response::new).map_err(status)
+/// An answer or an error of the service, for tonic. Memory is taken for the answer before it is encoded.
+pub fn answer<T: Message>(outcome: Result<T, ServiceError>) -> Result<Response<T>, Status> {
+    let mut response = outcome.map(Response::new).map_err(status)?;
+    let bytes = response.get_ref().encoded_len() as u64;
+    response.extensions_mut().insert(AnswerBytes(bytes));
+    Ok(response)
 }
 
 fn event(event: Event) -> v1::CreateSetupResponse {

@@ -13,7 +13,9 @@ mod deform;
 mod failure;
 mod grpc;
 mod http;
+mod import;
 mod local;
+mod machine;
 mod mesh;
 mod output;
 pub mod panel;
@@ -46,10 +48,12 @@ pub fn run(command: Command) -> Result<(), Failure> {
         Command::Status(options) => Ok(status::run(&options)?),
         Command::Token(options) => Ok(token::run(&options)?),
         Command::Deform(options) => deform::run(&options),
+        Command::Import(options) => import::run(&options),
         Command::Mesh(options) => mesh::run(&options),
         Command::Setup(options) => setup::report(&options),
         Command::Check(options) => check::run(&options),
         Command::Schema(options) => setup::schema(&options),
+        Command::Completions(options) => cli::completions(&options),
         Command::Store(options) => store::run(&options),
     }
 }

@@ -5,12 +5,14 @@ use std::{
     fs, io,
     num::NonZeroUsize,
     path::{Path, PathBuf},
+    sync::Arc,
 };
 
 use clap::Args;
 use moldline_deform::{Monitor, Setup, Stage};
 use moldline_host::{Cancellation, ServiceError};
-use moldline_mesh_service::reporter;
+use moldline_mesh::io::Format;
+use moldline_mesh_service::{explained, reporter};
 use moldline_setup_files::{
     ArchiveKind, Files, GeometryContent, Limits, SetupFileError, read_folder, read_geometry,
     read_geometry_folder, read_setup, unpack,
@@ -36,12 +38,42 @@ pub fn pool(source: &Source) -> Result<rayon::ThreadPool, Failure> {
     Ok(rayon::ThreadPoolBuilder::new().num_threads(values::threads(source.threads)).build()?)
 }
 
+/// A set-up with the file of its mesh.
+pub struct Built {
+    /// The set-up.
+    pub setup: Setup,
+    /// The mesh file, unless the mesh is inline.
+    pub mesh_file: Option<MeshFile>,
+}
+
+/// A mesh file.
+pub struct MeshFile {
+    /// Its format.
+    pub format: Option<Format>,
+    /// Its content.
+    pub bytes: Vec<u8>,
+    /// The unit of its coordinates, m.
+    pub unit: f64,
+}
+
 /// Reads and builds a set-up.
 pub fn build(source: &Source) -> Result<Setup, Failure> {
+    build_with_mesh(source).map(|built| built.setup)
+}
+
+/// Reads and builds a set-up, and keeps the file of its mesh.
+pub fn build_with_mesh(source: &Source) -> Result<Built, Failure> {
     let limits = Limits::default();
-    let (files, setup_file) = read(source, &limits).map_err(ServiceError::from)?;
+    let (mut files, setup_file) = read(source, &limits).map_err(ServiceError::from)?;
     let content = read_setup(&files, Some(&setup_file), &limits).map_err(ServiceError::from)?;
-    with_bar(|monitor| Setup::build(content.input, monitor))
+    let mesh_file = content.mesh_file.and_then(|(path, unit)| {
+        let bytes = files.remove(&path)?;
+        Some(MeshFile { format: Format::of_name(&path), bytes, unit })
+    });
+    let origin = Arc::clone(&content.input.origin);
+    let setup =
+        with_bar(|monitor| Setup::build(content.input, monitor).map_err(|error| explained(&origin, error)))?;
+    Ok(Built { setup, mesh_file })
 }
 
 /// Runs `work` with a progress bar.

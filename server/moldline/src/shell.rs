@@ -4,22 +4,27 @@ use std::{io::Write, net::SocketAddr, num::NonZeroUsize, path::PathBuf, sync::Ar
 
 use axum::http::HeaderValue;
 use clap::Args;
-use moldline_host::PoolLimits;
+use metrics::gauge;
+use moldline_host::{PoolLimits, Sharing};
 use moldline_transport::{
-    Access, Gauges, Health, Port, Served, Surroundings, TlsError, TlsFiles, acceptor, metrics_upkeep, router,
-    start_metrics,
+    Access, ConnectionLimits, Connections, Gauges, Health, Port, Served, Surroundings, Tls, TlsError,
+    TlsFiles, acceptor, administration, metrics_upkeep, raise_file_limit, router, start_metrics,
     tokens::{TokenFile, TokenFileError},
 };
 use tokio::{runtime, sync::oneshot, time};
 
-use crate::{shutdown, telemetry, values};
+use crate::{machine, shutdown, telemetry, values};
 
 /// Options of a service's port, its access and its end.
 #[derive(Debug, Args)]
 pub struct ListenOptions {
     /// Address to listen on; port 0 takes a free one. Standard output gets one line with the bound address
-    #[arg(long, env = "MOLDLINE_LISTEN", default_value = "127.0.0.1:50051")]
+    #[arg(long, env = "MOLDLINE_LISTEN", default_value = "127.0.0.1:50051", value_parser = values::address)]
     pub listen: SocketAddr,
+    /// Address of a second port with /healthz, /readyz and /metrics alone, which asks for no credentials: for orchestrators and
+    /// collectors, in a network of their own. Standard output gets a second line with it
+    #[arg(long, env = "MOLDLINE_ADMIN_LISTEN", value_name = "ADDRESS")]
+    pub admin_listen: Option<SocketAddr>,
     /// Allow an address that other machines can reach, without authentication
     #[arg(long, env = "MOLDLINE_INSECURE_LISTEN")]
     pub insecure_listen: bool,
@@ -39,6 +44,12 @@ pub struct ListenOptions {
     /// Allow calls from web pages of this origin, as in `https://example.org`
     #[arg(long, env = "MOLDLINE_CORS_ORIGIN", value_name = "ORIGIN", value_delimiter = ',')]
     pub cors_origin: Vec<HeaderValue>,
+    /// Connections at a time; beyond it those silent longest make room [default: 10000, less where open files are few]
+    #[arg(long, env = "MOLDLINE_MAX_CONNECTIONS", value_name = "COUNT")]
+    pub max_connections: Option<NonZeroUsize>,
+    /// The same from one address [default: half of all]
+    #[arg(long, env = "MOLDLINE_MAX_PEER_CONNECTIONS", value_name = "COUNT")]
+    pub max_peer_connections: Option<NonZeroUsize>,
     /// Seconds between the first failing health probe and the closing of the port; one probe interval
     #[arg(long, env = "MOLDLINE_DRAIN_DELAY", default_value_t = 0.0, value_name = "SECONDS", value_parser = values::seconds)]
     pub drain_delay: f64,
@@ -65,17 +76,46 @@ pub struct ComputeOptions {
     /// Seconds that one piece of work may take (a build, a deformation, a product, a check); then it is given up
     #[arg(long, env = "MOLDLINE_MAX_WORK", default_value_t = 600.0, value_name = "SECONDS", value_parser = values::seconds)]
     pub max_work: f64,
+    /// Memory of the server, MiB: caches, and what requests take while they are under way, which are refused beyond it
+    /// [default: three quarters of the machine's or container's]
+    #[arg(long, env = "MOLDLINE_MEMORY", value_name = "MIB")]
+    pub memory: Option<u64>,
     /// Largest message received, MiB
     #[arg(long, env = "MOLDLINE_MAX_MESSAGE", default_value_t = 64, value_name = "MIB")]
     pub max_message: usize,
 }
 
+impl ListenOptions {
+    /// Whether several tenants share the server.
+    pub fn sharing(&self) -> Sharing {
+        if self.tokens.is_some() || self.client_ca.is_some() { Sharing::Fair } else { Sharing::Alone }
+    }
+}
+
 impl ComputeOptions {
+    /// Memory of the server, bytes.
+    pub fn memory(&self) -> u64 {
+        self.memory.map_or_else(|| machine::memory() / 4 * 3, |given| given.saturating_mul(1 << 20))
+    }
+
     /// The size of the pool.
     pub fn pool(&self) -> PoolLimits {
         let threads = values::threads(self.threads);
         let running = self.running.map_or(threads, NonZeroUsize::get);
         PoolLimits { threads, running, queued: self.queued, work: Duration::from_secs_f64(self.max_work) }
+    }
+}
+
+/// What is left of the memory for requests, bytes, where caches take `cached`.
+///
+/// # Errors
+/// If that is less than a few requests need.
+pub fn working_memory(total: u64, cached: u64) -> Result<u64, ServeError> {
+    /// A small build, or a few messages.
+    const LEAST: u64 = 64 << 20;
+    match total.checked_sub(cached) {
+        Some(working) if working >= LEAST => Ok(working),
+        _ => Err(ServeError::Memory { total: total >> 20, cached: cached >> 20, least: LEAST >> 20 }),
     }
 }
 
@@ -92,6 +132,19 @@ pub enum ServeError {
     /// The compute threads do not start.
     #[error("cannot start the compute threads: {0}")]
     Threads(#[from] rayon::ThreadPoolBuildError),
+    /// The caches leave too little memory.
+    #[error(
+        "of {total} MiB of memory (--memory) the caches take {cached} MiB, and requests need {least} MiB at least; give the \
+         server more, or its caches less"
+    )]
+    Memory {
+        /// All memory, MiB.
+        total: u64,
+        /// That of the caches, MiB.
+        cached: u64,
+        /// Least memory for requests, MiB.
+        least: u64,
+    },
     /// The store cannot be opened.
     #[error(transparent)]
     Store(#[from] moldline_mesh_service::StoreError),
@@ -114,7 +167,9 @@ pub enum ServeError {
     #[error("cannot describe the interface: {0}")]
     Reflection(#[from] tonic_reflection::server::Error),
     /// Requests were still running after the drain timeout.
-    #[error("{0} requests were still running after the drain timeout and were abandoned")]
+    #[error(
+        "{0} requests were still running, or their answers on the way, after the drain timeout and were cut off"
+    )]
     Abandoned(usize),
 }
 
@@ -145,7 +200,8 @@ pub(crate) async fn serve(options: &ListenOptions, parts: Parts) -> Result<(), S
         return Err(ServeError::Public(options.listen));
     }
     let Parts { served, health, gauges, load } = parts;
-    let port = Port::bind(options.listen, tls(options)?)
+    let tls = tls(options)?.map(Tls::new);
+    let port = Port::bind(options.listen, tls.clone(), connection_limits(options, raise_file_limit()))
         .await
         .map_err(|error| ServeError::Listen(options.listen, error))?;
     let address = port.address()?;
@@ -155,6 +211,12 @@ pub(crate) async fn serve(options: &ListenOptions, parts: Parts) -> Result<(), S
     // Caught before the address is announced: a program that knows it may send a signal at once.
     let mut signals = shutdown::Signals::catch()?;
     announce(address, options, &access)?;
+    let local = address.ip().is_loopback() && !access.asks() && !options.insecure_listen;
+    let gauges = with_connections(gauges, port.connections());
+    tokio::spawn(health.clone().follow());
+    if let Some(address) = options.admin_listen {
+        administer(address, administration(health.clone(), metrics.clone(), Arc::clone(&gauges))).await?;
+    }
     let surroundings = Surroundings {
         access: Arc::new(access),
         health: health.clone(),
@@ -162,32 +224,103 @@ pub(crate) async fn serve(options: &ListenOptions, parts: Parts) -> Result<(), S
         gauges,
         trace: telemetry::follow,
         origins: options.cors_origin.clone(),
+        local,
     };
     let app = router(served, surroundings);
+    let connections = port.connections();
     let (close, closed) = oneshot::channel::<()>();
     let mut server = tokio::spawn(port.serve(app, async {
         let _ = closed.await;
     }));
 
+    let reload = || match (&tls, self::tls(options)) {
+        (Some(tls), Ok(Some(acceptor))) => {
+            tls.replace(acceptor);
+            tracing::info!("asked to reload: certificates are those on disk now");
+        }
+        (_, Ok(_)) => tracing::info!("asked to reload: nothing to do, changes of tokens take effect at once"),
+        (_, Err(error)) => tracing::error!(%error, "asked to reload: the certificates stay as they are"),
+    };
     tokio::select! {
-        () = signals.requested() => {}
+        () = signals.requested(reload) => {}
         // The server ends only on `close`, or by failing.
         ended = &mut server => return ended.map_err(|error| ServeError::Start(std::io::Error::other(error))),
     }
-    tracing::info!(running = load(), "asked to stop: letting running requests finish");
+    let running = connections.requests();
+    tracing::info!(running, computing = load(), "asked to stop: letting running requests finish");
     health.end().await;
     time::sleep(Duration::from_secs_f64(options.drain_delay)).await;
     let _ = close.send(());
+    // What still computes has lost its client: a request under way keeps its connection.
+    let idle = || connections.open() == connections.watched();
     tokio::select! {
         _ = &mut server => {}
-        () = shutdown::idle(&*load) => {}
+        () = shutdown::lasting(idle) => {}
         () = time::sleep(Duration::from_secs_f64(options.drain_timeout)) => {
-            if load() > 0 {
-                return Err(ServeError::Abandoned(load()));
+            let owing = connections.owing();
+            if owing > 0 {
+                return Err(ServeError::Abandoned(owing));
             }
         }
     }
     tracing::info!("stopped");
+    Ok(())
+}
+
+/// Records the number of connections too.
+fn with_connections(gauges: Gauges, connections: Arc<Connections>) -> Gauges {
+    gauge!("moldline_connections_limit").set(connections.limits().total as f64);
+    Arc::new(move || {
+        gauge!("moldline_connections").set(connections.open() as f64);
+        gauges()
+    })
+}
+
+/// Connections within the limit of open files, of which some stay for the store.
+fn connection_limits(options: &ListenOptions, files: Option<u64>) -> ConnectionLimits {
+    /// Connections where there are files for them.
+    const USUAL: usize = 10_000;
+    let total = match files {
+        None => options.max_connections.map_or(USUAL, NonZeroUsize::get),
+        Some(files) => {
+            let kept = (files / 4).clamp(64, 1024);
+            let most = usize::try_from(files.saturating_sub(kept)).unwrap_or(usize::MAX).max(1);
+            options.max_connections.map_or(USUAL, NonZeroUsize::get).min(most)
+        }
+    };
+    let of_peer = options.max_peer_connections.map_or((total / 2).max(1), NonZeroUsize::get).min(total);
+    tracing::info!(files, connections = total, of_one_address = of_peer, "connections");
+    ConnectionLimits { total, of_peer }
+}
+
+/// Serves probes and metrics on a thread of its own, so that they are answered whatever the others do.
+async fn administer(address: SocketAddr, app: axum::Router) -> Result<(), ServeError> {
+    /// More than all probes and collectors.
+    const LIMITS: ConnectionLimits = ConnectionLimits { total: 64, of_peer: 64 };
+    let (bound, told) = oneshot::channel();
+    let serve = async move {
+        match Port::bind(address, None, LIMITS).await {
+            Ok(port) => {
+                let _ = bound.send(port.address());
+                port.serve(app, std::future::pending()).await;
+            }
+            Err(error) => {
+                let _ = bound.send(Err(error));
+            }
+        }
+    };
+    let runtime = runtime::Builder::new_current_thread().enable_all().build()?;
+    std::thread::Builder::new().name("probes".to_owned()).spawn(move || runtime.block_on(serve))?;
+    let failed = |error| ServeError::Listen(address, error);
+    let address = told.await.map_err(|error| failed(std::io::Error::other(error)))?.map_err(failed)?;
+    let mut output = std::io::stdout().lock();
+    writeln!(
+        output,
+        "{}",
+        serde_json::json!({ "event": "listening for probes", "address": address.to_string() })
+    )?;
+    output.flush()?;
+    tracing::info!(%address, "listening for probes");
     Ok(())
 }
 

@@ -1,14 +1,15 @@
-//! Shutdown: the signals that request it, and the wait for running requests.
+//! The signals that request a shutdown or a reload, and the wait for what runs.
 
 use std::{io, time::Duration};
 
 use tokio::{signal, time};
 
-/// SIGTERM and Ctrl-C, caught as long as this value exists.
+/// SIGTERM, SIGHUP and Ctrl-C, caught as long as this value exists.
 #[cfg(unix)]
 pub struct Signals {
     interrupt: signal::unix::Signal,
     terminate: signal::unix::Signal,
+    hang_up: signal::unix::Signal,
 }
 
 #[cfg(unix)]
@@ -16,14 +17,21 @@ impl Signals {
     /// Starts to catch the signals.
     pub fn catch() -> io::Result<Self> {
         use signal::unix::{SignalKind, signal};
-        Ok(Self { interrupt: signal(SignalKind::interrupt())?, terminate: signal(SignalKind::terminate())? })
+        Ok(Self {
+            interrupt: signal(SignalKind::interrupt())?,
+            terminate: signal(SignalKind::terminate())?,
+            hang_up: signal(SignalKind::hangup())?,
+        })
     }
 
-    /// Waits for a signal.
-    pub async fn requested(&mut self) {
-        tokio::select! {
-            _ = self.interrupt.recv() => {}
-            _ = self.terminate.recv() => {}
+    /// Waits for a signal to stop; SIGHUP calls `reload`.
+    pub async fn requested(&mut self, reload: impl Fn()) {
+        loop {
+            tokio::select! {
+                _ = self.interrupt.recv() => return,
+                _ = self.terminate.recv() => return,
+                _ = self.hang_up.recv() => reload(),
+            }
         }
     }
 }
@@ -40,19 +48,18 @@ impl Signals {
     }
 
     /// Waits for the signal.
-    pub async fn requested(&mut self) {
+    pub async fn requested(&mut self, _: impl Fn()) {
         self.0.recv().await;
     }
 }
 
-/// Waits until no request computes and answers have had time to leave. Streams that are still open then are idle, such as a
-/// health watch, and can be cut.
-pub async fn idle(load: &(dyn Fn() -> usize + Send + Sync)) {
+/// Waits until `idle` has held for a moment.
+pub async fn lasting(idle: impl Fn() -> bool) {
     const POLL: Duration = Duration::from_millis(20);
     const LINGER: Duration = Duration::from_secs(1);
     let mut quiet = Duration::ZERO;
     while quiet < LINGER {
         time::sleep(POLL).await;
-        quiet = if load() == 0 { quiet + POLL } else { Duration::ZERO };
+        quiet = if idle() { quiet + POLL } else { Duration::ZERO };
     }
 }

@@ -1,9 +1,9 @@
-//! `moldline store`: garbage collection and verification of a store.
+//! `moldline store`: garbage collection and verification of a store; how a server keeps its store.
 
 use std::time::Duration;
 
 use clap::{Args, Subcommand};
-use moldline_mesh_service::Store;
+use moldline_mesh_service::{Schedule, Store, StoreError};
 use tokio::runtime;
 
 use crate::{failure::Failure, output::say, values};
@@ -38,6 +38,52 @@ pub struct Collect {
     /// uses the store
     #[arg(long, default_value = "24h", value_parser = values::duration)]
     pub grace: Duration,
+}
+
+/// How a server keeps its store.
+#[derive(Clone, Debug, Args)]
+pub struct Keeping {
+    /// Refuse to begin an empty store where there is none
+    #[arg(long, env = "MOLDLINE_EXISTING_STORE")]
+    pub existing_store: bool,
+    /// Time between collections of what nobody can reach any more, as in `30m` or `6h`, for all servers on the store together;
+    /// `0s` for none but by `moldline store gc`
+    #[arg(long, env = "MOLDLINE_COLLECT_EVERY", default_value = "1h", value_parser = values::duration, value_name = "TIME")]
+    pub collect_every: Duration,
+    /// What a collection leaves alone: objects younger than this, as in `24h`; an hour at least
+    #[arg(long, env = "MOLDLINE_COLLECT_GRACE", default_value = "24h", value_parser = grace, value_name = "TIME")]
+    pub collect_grace: Duration,
+}
+
+impl Keeping {
+    /// Opens the store of a server.
+    ///
+    /// # Errors
+    /// If it cannot be reached, is no store, or does not exist and must.
+    pub async fn open(&self, place: &str) -> Result<Store, StoreError> {
+        match self.existing_store {
+            true => Store::open_existing(place).await,
+            false => Store::open(place).await,
+        }
+    }
+
+    /// Starts collecting, on a schedule, for as long as the runtime lives.
+    pub fn start(&self, store: Store) {
+        if !self.collect_every.is_zero() {
+            let schedule = Schedule { every: self.collect_every, grace: self.collect_grace };
+            tokio::spawn(store.collect_by_itself(schedule));
+        }
+    }
+}
+
+/// A grace period that is safe under running servers.
+fn grace(text: &str) -> Result<Duration, String> {
+    match values::duration(text)? {
+        grace if grace < Duration::from_secs(3600) => {
+            Err("it is less than an hour, which an upload may take".to_owned())
+        }
+        grace => Ok(grace),
+    }
 }
 
 /// `moldline store`

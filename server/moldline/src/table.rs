@@ -4,7 +4,10 @@ use std::time::Duration;
 
 /// Aligns columns, with two spaces between them.
 pub fn render<const N: usize>(rows: &[[String; N]]) -> String {
-    let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
+    /// Longer cells stand out; formats have a limit of their own for widths.
+    const WIDEST: usize = 1000;
+    let longest = |column: usize| rows.iter().map(|row| row[column].chars().count()).max().unwrap_or(0);
+    let width = |column| longest(column).min(WIDEST);
     let widths: [usize; N] = std::array::from_fn(width);
     let mut text = String::new();
     for row in rows {
@@ -51,5 +54,8 @@ mod tests {
     fn columns_line_up() {
         let rows = [["a", "long name"], ["bb", "x"]].map(|row| row.map(str::to_owned));
         assert_eq!(render(&rows), "a   long name\nbb  x\n");
+        // Beyond what a format takes as a width.
+        let rows = ["x".to_owned(), "y".repeat(70_000)].map(|cell| [cell, "z".to_owned()]);
+        assert_eq!(render(&rows).lines().map(str::len).max(), Some(70_003));
     }
 }

@@ -467,6 +467,7 @@ class Driver {
     }
     if (arguments.has("timeout")) options.timeout = moldline::Seconds(arguments.number("timeout"));
     if (arguments.has("attempts")) options.retry.attempts = static_cast<int>(arguments.number("attempts"));
+    if (arguments.has("losses")) options.retry.losses = static_cast<int>(arguments.number("losses"));
     if (arguments.has("first_pause")) options.retry.first_pause = moldline::Seconds(arguments.number("first_pause"));
     setups_.clear();
     sessions_.clear();

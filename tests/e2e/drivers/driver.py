@@ -160,7 +160,7 @@ class Driver:
         if self._client is not None:
             await settled(self._client.close())
             await settled(self._panels.close())
-        retry = moldline.Retry(**{name: a[name] for name in ("attempts", "first_pause") if name in a})
+        retry = moldline.Retry(**{name: a[name] for name in ("attempts", "first_pause", "losses") if name in a})
         tls = moldline.TLS(**a["tls"]) if "tls" in a else False
         timeout = a.get("timeout", 600.0)
         options: Fields = {"token": a.get("token"), "tls": tls, "timeout": timeout, "retry": retry}

@@ -516,6 +516,9 @@ impl Driver {
         if let Some(attempts) = arguments.0["attempts"].as_f64() {
             options.retry.attempts = attempts as u32;
         }
+        if let Some(losses) = arguments.0["losses"].as_f64() {
+            options.retry.losses = losses as u32;
+        }
         if let Some(pause) = arguments.seconds("first_pause") {
             options.retry.first_pause = pause;
         }

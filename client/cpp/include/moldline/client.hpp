@@ -27,19 +27,25 @@ struct Tls {
 
 /// Retry policy: exponential backoff with jitter, within the timeout of the call.
 ///
-/// Calls are retried if the server cannot be reached or is stopping (`Unavailable`), or if it is full and names a delay
-/// (`ResourceExhausted`). All calls are safe to repeat: they change nothing, or carry a request id by which the server
-/// recognises them.
+/// Calls are repeated if the server cannot be reached, or answers that it is stopping (`Unavailable`) or is full and names a
+/// delay (`ResourceExhausted`): it has not begun with them. All calls are safe to repeat: they change nothing, or carry a
+/// request id by which the server recognises them.
+///
+/// A call whose connection broke after it was sent may be what the server died of. It is repeated once, after a longer pause,
+/// unless `losses` says otherwise.
 ///
 /// The pause before attempt k + 1 is the delay that the server names, plus a random share of `first_pause * 2^(k-1)`, so
 /// that clients that failed together do not return together.
 struct Retry {
-  /// Number of attempts, including the first; 1 for no retry.
-  int attempts = 10;
+  /// Number of attempts, including the first; 1 for no retry. By default as many as the timeout allows (without a timeout: as
+  /// are made within 10 minutes).
+  int attempts = std::numeric_limits<int>::max();
   /// Upper bound of the first random pause.
   Seconds first_pause{0.1};
   /// Upper bound of all random pauses.
   Seconds longest_pause{5.0};
+  /// How often a call is repeated whose connection broke after it was sent.
+  int losses = 1;
 };
 
 /// No timeout.

@@ -103,6 +103,18 @@ struct SetupAccess {
   std::vector<std::string> shared_with;
 };
 
+/// Parts of a mesh file that are not in the mesh.
+struct LeftOut {
+  /// Nodes that no triangle or quadrilateral uses.
+  std::size_t nodes = 0;
+  /// Nodes that were merged into others.
+  std::size_t merged_nodes = 0;
+  /// Cells other than triangles and quadrilaterals.
+  std::size_t other_cells = 0;
+  /// Cells that collapsed when nodes were merged.
+  std::size_t collapsed_cells = 0;
+};
+
 /// Description of a set-up.
 struct SetupFacts {
   /// Hash of its content.
@@ -125,6 +137,9 @@ struct SetupFacts {
   std::vector<Function> functions;
   std::size_t vertex_count = 0;
   std::size_t cell_count = 0;
+  /// Cells of closed pieces that pointed inwards and were turned.
+  std::size_t turned_cell_count = 0;
+  LeftOut left_out;
   /// Time that the engine took to build it.
   Seconds build_time{0.0};
 };

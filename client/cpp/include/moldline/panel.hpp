@@ -90,6 +90,8 @@ struct ConfigurationOptions : CallOptions {
   Solver solver = Solver::Automatic;
   /// Residual relative to the right-hand side; 1e-12 if absent.
   std::optional<double> tolerance;
+  /// Distance within which vertices become one, at their mean, m; none if absent. All arrays keep the vertices given.
+  std::optional<double> merge_tolerance;
 };
 
 /// Description of a configuration.

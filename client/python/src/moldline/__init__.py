@@ -11,10 +11,14 @@ each entry in its variable's unit. :mod:`moldline.aio` is the same for asyncio, 
 service.
 """
 
+import logging
+from importlib.metadata import version as _version
+
 from moldline import panel
 from moldline.check import Check, CheckedDesign, CheckedVariable, Difference, DotProduct, Kink
-from moldline.client import Client, Session, Setup
+from moldline.client import Client, Session, Setup, serve
 from moldline.connection import TLS
+from moldline.designs import Design
 from moldline.errors import (
     Aborted,
     AlreadyExists,
@@ -56,6 +60,11 @@ from moldline.model import (
 from moldline.quality import Distribution, QualityReport, QualitySummary
 from moldline.retry import Retry
 
+__version__ = _version("moldline")
+
+# Silent until the program that uses this chooses otherwise.
+logging.getLogger("moldline").addHandler(logging.NullHandler())
+
 __all__ = [
     "TLS",
     "Aborted",
@@ -69,6 +78,7 @@ __all__ = [
     "Client",
     "DeadlineExceeded",
     "Deformation",
+    "Design",
     "DesignPoint",
     "Difference",
     "Distribution",
@@ -106,6 +116,7 @@ __all__ = [
     "Visibility",
     "Work",
     "panel",
+    "serve",
     "write_cells",
     "write_vtu",
 ]

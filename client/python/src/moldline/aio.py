@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from moldline import operations
 from moldline.caller import AsyncCaller
 from moldline.check import Check
+from moldline.designs import Design
 from moldline.facts import SessionFacts, SetupFacts
 from moldline.mesh import Mesh
 from moldline.model import (
@@ -117,7 +118,7 @@ class Setup(SetupFacts):
         self,
         designs: int = 1,
         *,
-        design: Mapping[str, float] | ArrayLike | None = None,
+        design: Design = None,
         variables: Iterable[str] = (),
         seed: int = 1,
         progress: bool | Tell = False,
@@ -158,14 +159,14 @@ class Session(SessionFacts):
 
     async def update(
         self,
-        design: Mapping[str, float] | ArrayLike | None = None,
+        design: Design = None,
         *,
         control_points: Mapping[str, ArrayLike] | None = None,
         label: str | None = None,
         timeout: float | None = None,
     ) -> None:
         """As :meth:`moldline.Session.update`."""
-        operation = operations.update_session(self.state, design, control_points, label)
+        operation = operations.update_session(self.setup, self.state, design, control_points, label)
         self.state = await self.setup._client._run(operation, timeout)
 
     async def refresh(self, *, timeout: float | None = None) -> None:
@@ -174,7 +175,7 @@ class Session(SessionFacts):
 
     async def deform(
         self,
-        design: Mapping[str, float] | ArrayLike | None = None,
+        design: Design = None,
         *,
         control_points: Mapping[str, ArrayLike] | None = None,
         cell_quality: bool = False,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from functools import cached_property
 from types import TracebackType
 from typing import Any
@@ -15,6 +16,8 @@ from numpy.typing import ArrayLike, NDArray
 from moldline import operations
 from moldline.caller import Caller
 from moldline.check import Check
+from moldline.designs import Design
+from moldline.errors import MoldlineError
 from moldline.facts import SessionFacts, SetupFacts
 from moldline.mesh import Mesh
 from moldline.model import (
@@ -28,6 +31,7 @@ from moldline.model import (
     Tangents,
     Visibility,
 )
+from moldline.own_sessions import OwnSessions
 from moldline.progress import Tell, told
 from moldline.v1 import mesh_service_pb2 as wire
 from moldline.v1 import mesh_service_pb2_grpc
@@ -38,14 +42,33 @@ class Client(Caller):
 
     `target`: address such as ``127.0.0.1:50051``, or a `grpc.Channel` of your own (with credentials, interceptors), which
     the client does not close.
-    `token`: bearer token, sent with every call; use it with `tls` unless the network is trusted.
+    `token`: bearer token, sent with every call; use it with `tls` unless the network is trusted. `token_file`: file with it.
+    Without both the variable MOLDLINE_TOKEN is taken, if it is set.
     `tls`: `True` for TLS with gRPC's list of authorities, a :class:`TLS` for other settings, `False` for plain text.
     `timeout`: seconds that a call may take over all its attempts, except set-ups and checks; `math.inf` for no limit. Every
     method takes its own.
     `retry`: retry policy.
+
+    The connection is made by the first call. Clients, and the set-ups and sessions that they return, go to other processes
+    by fork and by pickle (joblib, Dask, Ray, ...), but for clients of a channel or of a `token` in plain text.
     """
 
     _STUB = mesh_service_pb2_grpc.MeshServiceStub
+
+    def __init__(self, target: Any = "127.0.0.1:50051", **options: Any) -> None:
+        super().__init__(target, **options)
+        self._sessions = OwnSessions()
+
+    def close(self) -> None:
+        """Closes the connection, and before it the session of calls without one; running calls are cancelled."""
+        for session in self._sessions.taken():
+            with suppress(MoldlineError):
+                session.close(timeout=1.0)
+        super().close()
+
+    def _session_of(self, setup: Setup) -> Session:
+        session: Session = self._sessions.find(setup.id, lambda: setup.session(label="client"))
+        return session
 
     def create_setup(
         self,
@@ -102,6 +125,31 @@ class Client(Caller):
         return setup.check(designs, **options)
 
 
+def serve(
+    *arguments: str,
+    store: str | os.PathLike[str] = "memory",
+    binary: str | os.PathLike[str] | None = None,
+    **options: Any,
+) -> Client:
+    """Starts a private server on a free port of this machine; returns a client of it, which ends it when it is closed.
+
+        with moldline.serve() as client:
+            setup = client.create_setup("examples/e175")
+
+    The server ends with this process too, however that one ends. `client.address` tells other programs where it is.
+
+    `arguments`: further ones of `moldline serve`, such as ``"--threads", "4"``. Variables of the environment for servers
+    (``MOLDLINE_...``) do not count.
+    `store`: what outlives the server, as for `moldline serve`: by default nothing.
+    `binary`: the program; else the one that the variable MOLDLINE_BINARY names, the one beside the interpreter, or the one
+    on the PATH.
+    `options`: of the client, such as `timeout`.
+
+    Raises `FileNotFoundError` if the program is not found, :class:`Unavailable` with its last words if it does not start.
+    """
+    return Client._with_server(("serve", "--store", os.fspath(store), *arguments), binary, options)
+
+
 class Setup(SetupFacts):
     """A set-up on the server: geometry, mesh, design variables and options. Immutable, and shared by all its users."""
 
@@ -126,7 +174,7 @@ class Setup(SetupFacts):
         self,
         designs: int = 1,
         *,
-        design: Mapping[str, float] | ArrayLike | None = None,
+        design: Design = None,
         variables: Iterable[str] = (),
         seed: int = 1,
         progress: bool | Tell = False,
@@ -160,6 +208,52 @@ class Setup(SetupFacts):
         """Gives up your ownership. Open sessions continue, and other owners of the same content keep the set-up."""
         self._client._run(operations.delete_setup(self.id), timeout)
 
+    @property
+    def _session(self) -> Session:
+        """The session of calls without one, opened by the first of them and closed with the client."""
+        return self._client._session_of(self)
+
+    def deform(
+        self,
+        design: Design = None,
+        *,
+        control_points: Mapping[str, ArrayLike] | None = None,
+        cell_quality: bool = False,
+        timeout: float | None = None,
+    ) -> Deformation:
+        """As :meth:`Session.deform`, in a session of the client's own, which ends with the client."""
+        return self._session.deform(design, control_points=control_points, cell_quality=cell_quality, timeout=timeout)
+
+    def jvp(
+        self,
+        directions: ArrayLike | None = None,
+        *,
+        control_points: Mapping[str, ArrayLike] | None = None,
+        at: At = None,
+        timeout: float | None = None,
+    ) -> Tangents:
+        """As :meth:`Session.jvp`, in the session of :meth:`deform`."""
+        return self._session.jvp(directions, control_points=control_points, at=at, timeout=timeout)
+
+    def vjp(
+        self,
+        *,
+        vertices: ArrayLike | None = None,
+        functions: Mapping[str, ArrayLike] | ArrayLike | None = None,
+        at: At = None,
+        design: bool = True,
+        control_points: Iterable[str] = (),
+        timeout: float | None = None,
+    ) -> Gradients:
+        """As :meth:`Session.vjp`, in the session of :meth:`deform`."""
+        return self._session.vjp(
+            vertices=vertices, functions=functions, at=at, design=design, control_points=control_points, timeout=timeout
+        )
+
+    def jacobian(self, *, at: At = None, progress: bool | Tell = False, timeout: float | None = None) -> Jacobian:
+        """As :meth:`Session.jacobian`, in the session of :meth:`deform`."""
+        return self._session.jacobian(at=at, progress=progress, timeout=timeout)
+
     def session(self, *, label: str = "", request_id: str | None = None, timeout: float | None = None) -> Session:
         """Opens a session, which lasts until it is closed: use it in a `with` statement, or close it.
 
@@ -188,7 +282,7 @@ class Session(SessionFacts):
 
     def update(
         self,
-        design: Mapping[str, float] | ArrayLike | None = None,
+        design: Design = None,
         *,
         control_points: Mapping[str, ArrayLike] | None = None,
         label: str | None = None,
@@ -198,7 +292,7 @@ class Session(SessionFacts):
 
         Raises :class:`Aborted` if the session has been updated elsewhere since: :meth:`refresh` reads the current state.
         """
-        operation = operations.update_session(self.state, design, control_points, label)
+        operation = operations.update_session(self.setup, self.state, design, control_points, label)
         self.state = self.setup._client._run(operation, timeout)
 
     def refresh(self, *, timeout: float | None = None) -> None:
@@ -207,7 +301,7 @@ class Session(SessionFacts):
 
     def deform(
         self,
-        design: Mapping[str, float] | ArrayLike | None = None,
+        design: Design = None,
         *,
         control_points: Mapping[str, ArrayLike] | None = None,
         cell_quality: bool = False,
@@ -215,7 +309,8 @@ class Session(SessionFacts):
     ) -> Deformation:
         """The mesh at a design. A pure function: the same design gives the same bytes.
 
-        `design`: values by name, all others at their baseline; or float64, (number of variables), every entry in its
+        `design`: values by name of a variable (``wing.twist[3]``) or of a group (``wing.twist``: an array of its shape, or
+        one number for all), all others at their baseline; or float64, (number of variables,); every entry in its
         variable's unit; `None` for the baseline.
         `control_points`: by component name, float64, (number of its control points, 3), metres: external control points
         that replace the component's own.

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+import pickle
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import grpc
+
+#: Variable of the environment with the token of connections that are given none.
+TOKEN_VARIABLE = "MOLDLINE_TOKEN"
 
 _OPTIONS = [
     ("grpc.max_receive_message_length", 512 << 20),
@@ -55,6 +59,32 @@ def channel(target: Any, tls: TLS | bool, transport: Any) -> Any:
     return transport.secure_channel(target, tls.credentials(), options=[*_OPTIONS, *name])
 
 
-def metadata(token: str | None) -> tuple[tuple[str, str], ...]:
-    """Metadata of every call."""
-    return () if token is None else (("authorization", f"Bearer {token}"),)
+@dataclass(frozen=True)
+class Credential:
+    """Bearer token of a connection: the token itself, or the place where each process finds it."""
+
+    token: str | None = field(default=None, repr=False)
+    #: File whose content, without surrounding white space, is the token; read when the connection is made.
+    file: str | os.PathLike[str] | None = None
+
+    def __post_init__(self) -> None:
+        if self.token is not None and self.file is not None:
+            raise ValueError("give a token or the file with it, not both")
+
+    def metadata(self) -> tuple[tuple[str, str], ...]:
+        """Metadata of every call."""
+        token = self.token
+        if self.file is not None:
+            token = Path(self.file).read_text().strip()
+        elif token is None:
+            token = os.environ.get(TOKEN_VARIABLE)
+        return () if token is None else (("authorization", f"Bearer {token}"),)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Only the place travels to other processes."""
+        if self.token is not None and self.token != os.environ.get(TOKEN_VARIABLE):
+            raise pickle.PicklingError(
+                "a client with a token does not go to other processes, for the token would lie in the pickle: give its file"
+                f" (token_file=...) or set the variable {TOKEN_VARIABLE} there"
+            )
+        return Credential, (None, self.file)

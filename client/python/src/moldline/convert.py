@@ -7,7 +7,7 @@ from datetime import datetime, timezone
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from moldline import arrays
 from moldline.mesh import Mesh
@@ -99,21 +99,11 @@ def _time(seconds: float) -> datetime:
     return datetime.fromtimestamp(seconds, timezone.utc)
 
 
-def copied(design: Mapping[str, float] | ArrayLike | None, points: Mapping[str, ArrayLike] | None) -> DesignPoint:
-    """The design with copies of its arrays, which later changes by the caller do not affect."""
-    if isinstance(design, Mapping):
-        design = {name: float(value) for name, value in design.items()}
-    elif design is not None:
-        design = np.array(design, dtype=np.float64)
-    copies = {component: np.array(each, dtype=np.float64) for component, each in (points or {}).items()}
-    return DesignPoint(design, copies or None)
-
-
 def write_point(point: DesignPoint, message: Any) -> None:
-    """Writes the fields `design` or `named`, and `control_points`."""
+    """Writes the fields `design` or `named`, and `control_points`, of a point made by :meth:`SetupFacts.point`."""
     if isinstance(point.design, Mapping):
         message.named.SetInParent()
-        message.named.values.update({name: float(value) for name, value in point.design.items()})
+        message.named.values.update(point.design)
     elif point.design is not None:
         arrays.write(point.design, message.design)
     for component, points in (point.control_points or {}).items():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -83,6 +84,13 @@ class DeadlineExceeded(MoldlineError, TimeoutError):
 class Unavailable(MoldlineError, ConnectionError):
     """The server cannot be reached, or is stopping."""
 
+    #: Whether the server said so itself, and so has not begun with the call.
+    answered: bool = True
+    #: Whether the connection broke after the call was sent: the server may have carried it out, or died of it.
+    lost: bool = False
+    #: Whether another attempt may succeed; not if one side does not trust the other.
+    passes: bool = True
+
 
 class InternalError(MoldlineError):
     """A fault of the server, or a malformed answer."""
@@ -104,6 +112,15 @@ _CLASSES: dict[grpc.StatusCode, type[MoldlineError]] = {
 }
 
 
+#: Messages of gRPC about calls that were never sent; in case of doubt a call was.
+_NEVER_SENT = re.compile(
+    r"failed to connect to all addresses|connections to all backends failing|name resolution|DNS|empty address list"
+    r"|connection refused|failed to connect to remote host|refused stream|stream refused|channel closed",
+    re.IGNORECASE,
+)
+_NO_TRUST = re.compile("CERTIFICATE_VERIFY_FAILED")
+
+
 def from_rpc(error: grpc.RpcError) -> MoldlineError:
     """The exception for a failed call, with the details that the server sent."""
     violations: list[FieldViolation] = []
@@ -115,8 +132,14 @@ def from_rpc(error: grpc.RpcError) -> MoldlineError:
             violations += [FieldViolation(fault.field, fault.description) for fault in bad_request.field_violations]
         elif detail.Unpack(retry):
             retry_after = retry.retry_delay.ToTimedelta().total_seconds()
-    kind = _CLASSES.get(error.code(), InternalError)
-    return kind(error.details() or error.code().name, tuple(violations), retry_after)
+    message = error.details() or error.code().name
+    translation = _CLASSES.get(error.code(), InternalError)(message, tuple(violations), retry_after)
+    # A server sends details with every error; without them it is the error of this side, or of a proxy.
+    if isinstance(translation, Unavailable) and status is None:
+        translation.answered = False
+        translation.lost = _NEVER_SENT.search(message) is None
+        translation.passes = _NO_TRUST.search(message) is None
+    return translation
 
 
 @contextmanager

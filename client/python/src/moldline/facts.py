@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from moldline import convert
+from moldline import convert, designs, display
+from moldline.designs import Design
 from moldline.model import DesignPoint, Function, SessionState, SetupAccess, Variable, VariableGroup
 from moldline.v1 import mesh_service_pb2 as wire
 
@@ -46,8 +47,19 @@ class SetupFacts:
         self.functions: tuple[Function, ...] = tuple(Function(f.name, f.unit, f.value) for f in description.functions)
         self.vertex_count: int = description.vertex_count
         self.cell_count: int = description.cell_count
+        #: Cells of closed pieces that pointed inwards and were turned.
+        self.turned_cell_count: int = description.turned_cell_count
+        #: Parts of the mesh file that are not in the mesh: `nodes` without cells, `merged_nodes`, `other_cells` than
+        #: triangles and quadrilaterals, `collapsed_cells`.
+        self.left_out: dict[str, int] = {
+            field.name: getattr(description.left_out, field.name) for field in wire.LeftOut.DESCRIPTOR.fields
+        }
         #: Seconds that the engine took to build it.
         self.build_seconds: float = description.build_seconds
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What goes to other processes: the arrays are fetched again there."""
+        return {name: value for name, value in vars(self).items() if name not in ("mesh", "control_points")}
 
     @property
     def baseline(self) -> NDArray[np.float64]:
@@ -59,6 +71,14 @@ class SetupFacts:
         """Lower and upper bounds, float64, (number of variables) each; may be infinite."""
         lower = np.array([variable.lower for variable in self.variables])
         return lower, np.array([variable.upper for variable in self.variables])
+
+    def point(self, design: Design, control_points: Mapping[str, ArrayLike] | None = None) -> DesignPoint:
+        """A design with copies of its arrays, which later changes by the caller do not affect; groups become variables.
+
+        Raises `ValueError` as :func:`moldline.designs.normalised`.
+        """
+        copies = {component: np.array(each, dtype=np.float64) for component, each in (control_points or {}).items()}
+        return DesignPoint(designs.normalised(self, design), copies or None)
 
     def by_function(self, values: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
         """The columns of `values`, (..., number of functions), by name."""
@@ -78,6 +98,14 @@ class SetupFacts:
     def __repr__(self) -> str:
         sizes = f"{self.vertex_count} vertices, {self.cell_count} cells, {len(self.variables)} variables"
         return f"<{type(self).__name__} {self.name!r} {self.id[:12]}: {sizes}>"
+
+    def _repr_html_(self) -> str:
+        title = f"{self.name or 'Set-up'}: {self.vertex_count} vertices, {self.cell_count} cells"
+        variables = [(v.name, v.baseline, v.lower, v.upper, v.unit) for v in self.variables]
+        functions = [(f.name, f.value, f.unit) for f in self.functions]
+        return display.table(title, ("variable", "baseline", "lower", "upper", "unit"), variables) + display.table(
+            "Functions", ("function", "baseline", "unit"), functions
+        )
 
 
 def _group(group: wire.VariableGroup) -> VariableGroup:
@@ -116,3 +144,18 @@ class SessionFacts:
     def updated(self) -> datetime:
         """Time of the last update, UTC."""
         return self.state.updated
+
+    def __repr__(self) -> str:
+        label = f" {self.label!r}" if self.label else ""
+        return f"<{type(self).__name__} {self.id}{label} of set-up {self.state.setup_id[:12]}: generation {self.generation}>"
+
+    def _repr_html_(self) -> str:
+        state = self.state
+        rows = [
+            ("label", state.label),
+            ("set-up", state.setup_id[:12]),
+            ("generation", state.generation),
+            ("opened", f"{state.created:%Y-%m-%d %H:%M:%S} UTC"),
+            ("updated", f"{state.updated:%Y-%m-%d %H:%M:%S} UTC"),
+        ]
+        return display.table(f"Session {state.id}", ("", ""), rows)

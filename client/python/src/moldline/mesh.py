@@ -5,20 +5,26 @@ from __future__ import annotations
 import os
 import struct
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from moldline import pictures
+from moldline.content import ByContent
+
+if TYPE_CHECKING:
+    from moldline.model import Deformation
+
 #: Fourth entry of a triangle.
 NO_VERTEX = np.uint32(0xFFFFFFFF)
 
 
-@dataclass(frozen=True)
-class Mesh:
+@dataclass(frozen=True, eq=False, repr=False)
+class Mesh(ByContent):
     """A surface mesh of triangles and quadrilaterals."""
 
     #: float64, (n, 3), metres.
@@ -37,11 +43,95 @@ class Mesh:
         """bool, (m,): which cells are triangles."""
         return np.asarray(self.cells[:, 3] == NO_VERTEX)
 
+    def blocks(self) -> list[Block]:
+        """The cells by shape, triangles first, without the mark in the place of a triangle's fourth vertex."""
+        return blocks(self.cells)
+
+    def moved(self, vertices: ArrayLike | Deformation) -> Mesh:
+        """The same mesh with other vertices, float64, (n, 3), metres, or with those of a deformation."""
+        points = np.asarray(getattr(vertices, "vertices", vertices), dtype=np.float64)
+        if points.shape != self.vertices.shape:
+            raise ValueError(f"vertices have shape {points.shape}, the mesh has {self.vertices.shape}")
+        return replace(self, vertices=points)
+
+    def to_pyvista(
+        self,
+        vertices: ArrayLike | Deformation | None = None,
+        point_data: Mapping[str, ArrayLike] | None = None,
+        cell_data: Mapping[str, ArrayLike] | None = None,
+    ) -> Any:
+        """The mesh as a `pyvista.PolyData`, with owner and seam, and what else is given; needs ``moldline[plot]``.
+
+        `vertices`: float64, (n, 3), metres, or a deformation, in place of the mesh's own.
+        `point_data`, `cell_data`: arrays by name, of first extent n or m.
+        """
+        return pictures.to_pyvista(self if vertices is None else self.moved(vertices), point_data, cell_data)
+
+    def to_meshio(
+        self,
+        vertices: ArrayLike | Deformation | None = None,
+        point_data: Mapping[str, ArrayLike] | None = None,
+        cell_data: Mapping[str, ArrayLike] | None = None,
+    ) -> Any:
+        """The mesh as a `meshio.Mesh`, triangles first; the arguments are those of :meth:`to_pyvista`."""
+        return pictures.to_meshio(self if vertices is None else self.moved(vertices), point_data, cell_data)
+
+    def plot(
+        self,
+        field: str | ArrayLike = "components",
+        *,
+        vertices: ArrayLike | Deformation | None = None,
+        path: str | os.PathLike[str] | None = None,
+        title: str = "",
+        edges: bool = True,
+        view: pictures.View = "iso",
+        size: tuple[int, int] = (1200, 800),
+        limits: tuple[float, float] | None = None,
+    ) -> Any:
+        """Shows the mesh, or writes a picture of it; needs ``moldline[plot]``.
+
+        `field`: what the colours show: ``components``, ``seam``, ``quality`` (aspect ratio of the cells), ``displacement``
+        (of `vertices` from the mesh's own, metres); or an array: (m,) of the cells, such as an analysis's `cp`, (n,) of the
+        vertices, or (n, 3) of vectors at the vertices, such as a gradient, of which the part along the normal is shown.
+        `vertices`: float64, (n, 3), metres, or a deformation, in place of the mesh's own.
+        `path`: picture to write (.png), without a display; `None` opens a window, or a picture in a notebook.
+        `title`: name beside the colours. `limits`: least and largest value of the colours.
+        `edges`: whether to draw the cells' edges. `view`: `iso`, `top`, `side` or `front`. `size`: pixels.
+
+        Returns the `pyvista.Plotter` if no `path` is given.
+        """
+        return pictures.plot(self, field, vertices, path, title, edges, view, size, limits)
+
+    def __repr__(self) -> str:
+        triangles = int(self.triangles.sum())
+        cells = f"{triangles} triangles, {len(self.cells) - triangles} quadrilaterals"
+        return f"<Mesh of {len(self.vertices)} vertices, {cells}: {', '.join(self.components)}>"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Block(ByContent):
+    """The cells of one shape."""
+
+    #: ``triangle`` or ``quad``, as in meshio.
+    kind: str
+    #: uint32, (b, 3) or (b, 4): vertices of each cell.
+    cells: NDArray[np.uint32]
+    #: (b,): the cells' places in the mesh.
+    places: NDArray[np.intp]
+
+
+def blocks(cells: ArrayLike) -> list[Block]:
+    """Cells, uint32, (m, 4), as :attr:`Mesh.cells`, by shape, triangles first; shapes without cells are left out."""
+    cells = np.asarray(cells, dtype=np.uint32)
+    triangle = cells[:, 3] == NO_VERTEX
+    both = (("triangle", 3, triangle), ("quad", 4, ~triangle))
+    return [Block(kind, cells[which, :corners], np.flatnonzero(which)) for kind, corners, which in both if which.any()]
+
 
 def write_vtu(
     path: str | os.PathLike[str],
     mesh: Mesh,
-    vertices: ArrayLike | None = None,
+    vertices: ArrayLike | Deformation | None = None,
     point_data: Mapping[str, ArrayLike] | None = None,
     cell_data: Mapping[str, ArrayLike] | None = None,
 ) -> None:
@@ -50,9 +140,7 @@ def write_vtu(
     `vertices`: float64, (n, 3), metres, in place of the mesh's own, such as `Deformation.vertices`.
     `point_data`, `cell_data`: arrays by name, of first extent n or m.
     """
-    points = np.asarray(mesh.vertices if vertices is None else vertices, dtype="<f8")
-    if points.shape != mesh.vertices.shape:
-        raise ValueError(f"vertices have shape {points.shape}, the mesh has {mesh.vertices.shape}")
+    points = mesh.vertices if vertices is None else mesh.moved(vertices).vertices
     seam = {"seam": mesh.seam.astype("u1"), **(point_data or {})}
     owner = {"owner": mesh.cell_owner, **(cell_data or {})}
     write_cells(path, points, mesh.cells, seam, owner)

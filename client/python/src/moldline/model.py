@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from moldline import display
+from moldline.content import ByContent
+from moldline.designs import Design
 from moldline.quality import QualityReport
 
 
@@ -39,8 +42,8 @@ class Variable:
     upper: float
 
 
-@dataclass(frozen=True)
-class VariableGroup:
+@dataclass(frozen=True, eq=False, repr=False)
+class VariableGroup(ByContent):
     """Variables that were declared together."""
 
     name: str
@@ -92,16 +95,16 @@ class SetupSummary:
     access: SetupAccess
 
 
-@dataclass(frozen=True)
-class DesignPoint:
+@dataclass(frozen=True, eq=False, repr=False)
+class DesignPoint(ByContent):
     """A requested design: the arguments of :meth:`Session.deform`."""
 
-    design: Mapping[str, float] | ArrayLike | None = None
+    design: Design = None
     control_points: Mapping[str, ArrayLike] | None = None
 
 
-@dataclass(frozen=True)
-class SessionState:
+@dataclass(frozen=True, eq=False, repr=False)
+class SessionState(ByContent):
     """Stored state of a session."""
 
     id: str
@@ -117,8 +120,8 @@ class SessionState:
     updated: datetime
 
 
-@dataclass(frozen=True)
-class Linearisation:
+@dataclass(frozen=True, eq=False, repr=False)
+class Linearisation(ByContent):
     """Point of linearisation: the id of a linearisation on the server, and the design to recompute it from."""
 
     #: Determined by set-up and design: the same on every server.
@@ -127,8 +130,8 @@ class Linearisation:
     point: DesignPoint
 
 
-@dataclass(frozen=True)
-class Deformation:
+@dataclass(frozen=True, eq=False, repr=False)
+class Deformation(ByContent):
     """A deformed mesh."""
 
     #: float64, (n, 3), metres, in the order of the set-up's mesh; a read-only view of the message's memory.
@@ -150,23 +153,34 @@ class Deformation:
     #: Largest number of projection steps of a vertex.
     projection_steps: int
     #: Seconds in the engine.
-    engine_seconds: float
+    engine_seconds: float = field(compare=False)
     #: Seconds in the queue.
-    queue_seconds: float
+    queue_seconds: float = field(compare=False)
 
     @property
     def linearisation_id(self) -> str:
         """Id of the linearisation, for requests for derivatives."""
         return self.linearisation.id
 
+    def __repr__(self) -> str:
+        worst = self.quality.total
+        return (
+            f"<Deformation {self.linearisation.id[:12]}: {len(self.vertices)} vertices, {len(self.functions)} functions,"
+            f" aspect ratio p95 {worst.aspect_ratio.p95:.3f}, {worst.folded} folded>"
+        )
+
+    def _repr_html_(self) -> str:
+        functions = display.table("Functions", ("name", "value"), self.functions.items())
+        return functions + self.quality._repr_html_()
+
 
 #: Point of linearisation: the result of `deform`, its `linearisation` or the latter's id, a design as `deform` takes it, or
 #: a :class:`DesignPoint`; `None` for the baseline.
-At = Deformation | Linearisation | DesignPoint | str | Mapping[str, float] | ArrayLike | None
+At = Deformation | Linearisation | DesignPoint | str | Mapping[str, ArrayLike] | ArrayLike | None
 
 
-@dataclass(frozen=True)
-class Tangents:
+@dataclass(frozen=True, eq=False, repr=False)
+class Tangents(ByContent):
     """Changes of the outputs along k directions; without the first axis for a single one."""
 
     #: float64, (k, n, 3), metres.
@@ -174,13 +188,13 @@ class Tangents:
     #: By function: float64, (k,), in its unit.
     functions: dict[str, NDArray[np.float64]]
     #: Seconds in the engine.
-    engine_seconds: float
+    engine_seconds: float = field(compare=False)
     #: Seconds in the queue.
-    queue_seconds: float
+    queue_seconds: float = field(compare=False)
 
 
-@dataclass(frozen=True)
-class Gradients:
+@dataclass(frozen=True, eq=False, repr=False)
+class Gradients(ByContent):
     """Gradients of k weighted sums of the outputs; without the first axis for a single one."""
 
     #: float64, (k, number of variables), per unit of the variable; `None` if not requested.
@@ -188,13 +202,13 @@ class Gradients:
     #: By requested component: float64, (k, number of its control points, 3), per metre.
     control_points: dict[str, NDArray[np.float64]]
     #: Seconds in the engine.
-    engine_seconds: float
+    engine_seconds: float = field(compare=False)
     #: Seconds in the queue.
-    queue_seconds: float
+    queue_seconds: float = field(compare=False)
 
 
-@dataclass(frozen=True)
-class Jacobian:
+@dataclass(frozen=True, eq=False, repr=False)
+class Jacobian(ByContent):
     """Derivatives of all outputs with respect to all design variables."""
 
     #: float64, (number of variables, n, 3), metres per unit of the variable.
@@ -202,9 +216,9 @@ class Jacobian:
     #: By function: float64, (number of variables,), its unit per unit of the variable.
     functions: dict[str, NDArray[np.float64]]
     #: Seconds in the engine.
-    engine_seconds: float
+    engine_seconds: float = field(compare=False)
     #: Seconds in the queue.
-    queue_seconds: float
+    queue_seconds: float = field(compare=False)
 
 
 @dataclass(frozen=True)
@@ -241,7 +255,7 @@ class Work:
     fraction: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Status:
     """Load, caches and store of a server."""
 
@@ -265,3 +279,30 @@ class Status:
     linearisation_cache: CacheStatus
     #: Requests that are computing or queued, oldest first.
     work: tuple[Work, ...]
+
+    def __repr__(self) -> str:
+        return (
+            f"<Status of version {self.version}: {self.running} of {self.running_limit} computing, {self.queued} waiting,"
+            f" {self.sessions} sessions, {self.setups_stored} set-ups, {self.stored_bytes / 1e6:.1f} MB stored>"
+        )
+
+    def _repr_html_(self) -> str:
+        caches = [(each, getattr(self, each)) for each in ("setup_cache", "linearisation_cache")]
+        rows = [
+            ("version", self.version),
+            ("up, s", self.uptime_seconds),
+            ("computing", f"{self.running} of {self.running_limit}"),
+            ("waiting", f"{self.queued} of {self.queued_limit}"),
+            ("sessions", self.sessions),
+            ("set-ups in memory", self.setups_resident),
+            ("set-ups stored", self.setups_stored),
+            ("stored, MB", self.stored_bytes / 1e6),
+            *(
+                (f"{name.replace('_', ' ')}, MB", f"{c.bytes / 1e6:.1f} of {c.budget_bytes / 1e6:.1f}")
+                for name, c in caches
+            ),
+        ]
+        work = [(w.kind, w.tenant, w.stage, f"{w.fraction:.0%}", w.age_seconds) for w in self.work]
+        return display.table("Server", ("", ""), rows) + display.table(
+            "Work", ("kind", "tenant", "stage", "done", "age, s"), work
+        )

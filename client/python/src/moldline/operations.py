@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from moldline import arrays, convert, upload
 from moldline.calls import Blocks, Call, Operation, seconds, streamed
 from moldline.check import Check, check_from_wire
+from moldline.designs import Design
 from moldline.errors import InternalError, NotFound
 from moldline.facts import SetupFacts
 from moldline.mesh import Mesh
@@ -100,7 +101,7 @@ def delete_setup(setup_id: str) -> Operation[None]:
 def check(
     setup: SetupFacts,
     designs: int,
-    design: Mapping[str, float] | ArrayLike | None,
+    design: Design,
     variables: Iterable[str],
     seed: int,
     tell: Tell,
@@ -110,7 +111,7 @@ def check(
     if design is None:
         request.designs = designs
     else:
-        convert.write_point(DesignPoint(design), request)
+        convert.write_point(setup.point(design), request)
     report = yield from streamed("Check", request, "report", tell)
     return check_from_wire(report, tuple(variable.name for variable in setup.variables))
 
@@ -147,8 +148,9 @@ def list_sessions() -> Operation[list[SessionState]]:
 
 
 def update_session(
+    setup: SetupFacts,
     state: SessionState,
-    design: Mapping[str, float] | ArrayLike | None,
+    design: Design,
     points: Mapping[str, ArrayLike] | None,
     label: str | None,
 ) -> Operation[SessionState]:
@@ -158,7 +160,7 @@ def update_session(
     )
     if design is not None or points is not None:
         request.design.SetInParent()
-        convert.write_point(DesignPoint(design, points), request.design)
+        convert.write_point(setup.point(design, points), request.design)
     response = yield Call("UpdateSession", request)
     return convert.session_state(response.session)
 
@@ -177,12 +179,12 @@ def status() -> Operation[Status]:
 def deform(
     setup: SetupFacts,
     session_id: str,
-    design: Mapping[str, float] | ArrayLike | None,
+    design: Design,
     points: Mapping[str, ArrayLike] | None,
     cell_quality: bool,
 ) -> Operation[Deformation]:
     """The mesh at a design."""
-    point = convert.copied(design, points)
+    point = setup.point(design, points)
     request = wire.DeformRequest(session_id=session_id, include_cell_quality=cell_quality)
     convert.write_point(point, request)
     response = yield Call("Deform", request)
@@ -204,7 +206,7 @@ def jvp(
         blocks.add(f"control_points[{component!r}]", vectors, 2)
     parts = []
     for piece in blocks.pieces():
-        request = wire.ApplyJacobianVectorRequest(session_id=session_id, at=_at(at))
+        request = wire.ApplyJacobianVectorRequest(session_id=session_id, at=_at(setup, at))
         if directions is not None:
             arrays.write(piece["directions"], request.design)
         for component in points:
@@ -233,7 +235,7 @@ def vjp(
     parts = []
     for piece in blocks.pieces():
         request = wire.ApplyAdjointRequest(
-            session_id=session_id, at=_at(at), include_design=design, control_points_of=control_points
+            session_id=session_id, at=_at(setup, at), include_design=design, control_points_of=control_points
         )
         for name, block in piece.items():
             arrays.write(block, getattr(request, name))
@@ -270,7 +272,7 @@ def jacobian(setup: SetupFacts, session_id: str, at: At, tell: Tell) -> Operatio
         parts.clear()
         return receive
 
-    yield Call("Jacobian", wire.JacobianRequest(session_id=session_id, at=_at(at)), receiver)
+    yield Call("Jacobian", wire.JacobianRequest(session_id=session_id, at=_at(setup, at)), receiver)
     if not received.all():
         raise InternalError("the server ended before the last column")
     return Jacobian(vertices, setup.by_function(functions), **seconds(parts))
@@ -290,7 +292,7 @@ def _gone(call: Call) -> Operation[None]:
         yield call
 
 
-def _at(at: At) -> wire.LinearisationPoint:
+def _at(setup: SetupFacts, at: At) -> wire.LinearisationPoint:
     """The id, if any, and the design, from which the server recomputes a linearisation that it no longer holds."""
     point = wire.LinearisationPoint()
     if isinstance(at, Deformation):
@@ -302,5 +304,6 @@ def _at(at: At) -> wire.LinearisationPoint:
         point.linearisation_id = at.id
         at = at.point
     point.design_point.SetInParent()
-    convert.write_point(at if isinstance(at, DesignPoint) else DesignPoint(at), point.design_point)
+    given = setup.point(at.design, at.control_points) if isinstance(at, DesignPoint) else setup.point(at)
+    convert.write_point(given, point.design_point)
     return point

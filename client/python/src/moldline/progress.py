@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from tqdm import tqdm
+from tqdm.auto import tqdm
 
 from moldline.model import Progress
 
@@ -20,7 +21,7 @@ def told(progress: bool | Tell) -> Iterator[Tell]:
         yield progress
         return
     layout = "{desc:<50} {percentage:3.0f}%|{bar:30}| {elapsed}"
-    with tqdm(total=1.0, disable=not progress, bar_format=layout, leave=False) as bar:
+    with tqdm(total=1.0, disable=not (progress and _watched()), bar_format=layout, leave=False) as bar:
 
         def show(step: Progress) -> None:
             bar.set_description_str(step.message, refresh=False)
@@ -28,3 +29,8 @@ def told(progress: bool | Tell) -> Iterator[Tell]:
             bar.refresh()
 
         yield show
+
+
+def _watched() -> bool:
+    """Whether a bar would be seen: on a terminal or in a notebook, not in a file or a pipe."""
+    return sys.stderr.isatty() or "ipykernel" in sys.modules

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from moldline import display
 from moldline.v1 import quality_pb2
 
 
@@ -43,18 +44,43 @@ class QualitySummary:
     inverted: int
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class QualityReport:
     """Quality measures of all cells, and of the cells of each component. `str` gives a table."""
 
     total: QualitySummary
     components: dict[str, QualitySummary]
 
+    def __hash__(self) -> int:
+        return hash((self.total, *self.components.items()))
+
     def __str__(self) -> str:
         title = f"{'':<16} {'cells':>8} {'AR p95':>8} {'AR max':>8} {'>5 [%]':>8} {'edges p95':>10}"
         title += f" {'min SJ':>8} {'angles [deg]':>14} {'folded':>7}"
         rows = [*self.components.items(), ("total", self.total)]
         return "\n".join([title, *(_row(name, summary) for name, summary in rows)])
+
+    def __repr__(self) -> str:
+        t = self.total
+        return f"<QualityReport of {t.cells} cells: aspect ratio p95 {t.aspect_ratio.p95:.3f}, {t.folded} folded>"
+
+    def _repr_html_(self) -> str:
+        header = (
+            "component",
+            "cells",
+            "aspect ratio p95",
+            "largest",
+            "> 5, %",
+            "least scaled Jacobian",
+            "folded",
+            "inverted",
+        )
+        rows = [
+            (name, s.cells, s.aspect_ratio.p95, s.aspect_ratio.max, s.aspect_ratio.above_5_percent)
+            + (s.min_scaled_jacobian, s.folded, s.inverted)
+            for name, s in [*self.components.items(), ("total", self.total)]
+        ]
+        return display.table("Quality of cells", header, rows)
 
 
 def _row(name: str, s: QualitySummary) -> str:

@@ -28,6 +28,7 @@ pub fn configuration_request(
         components: options.components.clone().map(|names| v1::NameList { names }),
         solver: solver(options.solver).into(),
         tolerance: options.tolerance,
+        merge_tolerance: options.merge_tolerance,
     };
     v1::CreateConfigurationRequest {
         cells: Some(index_array(cells.as_flattened(), &[cells.len(), 4])),

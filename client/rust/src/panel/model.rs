@@ -76,6 +76,8 @@ pub struct ConfigurationOptions {
     pub solver: Solver,
     /// Residual relative to the right-hand side; 1e-12 if absent.
     pub tolerance: Option<f64>,
+    /// Distance within which vertices become one, at their mean, m; none if absent. All arrays keep the vertices given.
+    pub merge_tolerance: Option<f64>,
 }
 
 /// Description of a configuration.

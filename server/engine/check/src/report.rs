@@ -181,8 +181,10 @@ fn table(f: &mut fmt::Formatter<'_>, variables: &[String], check: &DesignCheck) 
         writeln!(f, "  dot products, k = {:<3}  {:.1e}", dot.block, dot.error)?;
     }
     writeln!(f, "  values against dual numbers: {:.1e} of the length", check.values)?;
+    /// Longer names stand out of their column: formats have a limit of their own for widths.
+    const WIDEST: usize = 200;
     let name = |row: &VariableCheck| &variables[row.variable];
-    let width = check.variables.iter().map(|row| name(row).len()).max().unwrap_or(0).max(8);
+    let width = check.variables.iter().map(|row| name(row).len()).max().unwrap_or(0).clamp(8, WIDEST);
     writeln!(
         f,
         "  {:<width$}  |J v|/unit     dual  central difference  at step/range  first off at",

@@ -2,15 +2,17 @@
 
 use std::fmt;
 
-use moldline_foundation::{Class, Failure};
+use moldline_foundation::{Class, Failure, Outside, short};
 use moldline_geometry::ComponentError;
 use moldline_mesh::{MeshError, symmetry::SymmetryError};
 use moldline_parameterisation::{DesignError, ParameterisationError};
 use moldline_rbf::RbfError;
 use thiserror::Error;
 
+use crate::Misfit;
+
 /// Number of offending vertices that an error lists.
-pub const LISTED: usize = 20;
+pub const LISTED: usize = 6;
 
 /// A vertex with the length that is too large.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -123,7 +125,7 @@ pub enum ControlPointsError {
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum SetupError {
     /// An option is out of its range.
-    #[error("options.{field} = {value} is outside {low}..={high}")]
+    #[error("options.{field} = {} {}", short(*value), Outside { low: *low, high: *high })]
     Option {
         /// Path of the field.
         field: String,
@@ -159,6 +161,14 @@ pub enum SetupError {
     /// The control points at the baseline do not fit the components.
     #[error("components: {0}")]
     ControlPoints(ControlPointsError),
+    /// The components are far outside the mesh, for a reason that can be told.
+    #[error("mesh: {misfit}. components: {error}")]
+    Misfit {
+        /// What is probably wrong.
+        misfit: Misfit,
+        /// A control point that is far outside.
+        error: ControlPointsError,
+    },
     /// A component is not a valid surface.
     #[error("components[{index}] (`{name}`): {source}")]
     Component {
@@ -175,10 +185,23 @@ pub enum SetupError {
     /// The parameterisation is not valid.
     #[error("parameterisation: {0}")]
     Parameterisation(#[from] ParameterisationError),
+    /// Cells that are there twice.
+    #[error(
+        "mesh: {count} cells have the same corners as another one, the first are cells[{}] and cells[{}] at {position:?} m; \
+         write every surface once (a shell or a group may have been exported twice)", first[0], first[1]
+    )]
+    RepeatedCells {
+        /// How many cells.
+        count: usize,
+        /// The first one, and the cell that it repeats.
+        first: [u32; 2],
+        /// Where they are, m.
+        position: [f64; 3],
+    },
     /// The mesh has holes.
     #[error(
-        "mesh: {count} edges have a cell on one side only, the first joins vertices {first:?} at {position:?}; close \
-         the mesh, or set `open_mesh = true`"
+        "mesh: {count} edges have a cell on one side only, the first joins vertices[{}] and vertices[{}] at {position:?} m; \
+         close the mesh, or set `open_mesh = true` if it is meant to be open", first[0], first[1]
     )]
     OpenMesh {
         /// How many edges.
@@ -188,18 +211,93 @@ pub enum SetupError {
         /// Where it is, m.
         position: [f64; 3],
     },
+    /// The mesh has cracks between double vertices.
+    #[error(
+        "mesh: {edges} open edges coincide pairwise, since their vertices are double (up to {distance:.1e} m apart); the first \
+         joins vertices[{}] and vertices[{}] at {position:?} m; set `merge_tolerance` of the mesh to a little more, such as \
+         {tolerance:e} m (in the unit of the mesh)", first[0], first[1]
+    )]
+    DoubleVertices {
+        /// How many edges.
+        edges: usize,
+        /// Largest distance between double vertices, m.
+        distance: f64,
+        /// A tolerance that merges them, m.
+        tolerance: f64,
+        /// The first edge's vertices.
+        first: [u32; 2],
+        /// Where it is, m.
+        position: [f64; 3],
+    },
+    /// The border of a half model is not in the plane of symmetry.
+    #[error(
+        "mesh: the border of this half model ({count} edges) lies up to {distance:.3e} m off the plane of symmetry y = 0 (tolerance \
+         {tolerance:.3e} m), farthest at vertices[{vertex}], {position:?} m; put the border on y = 0, or raise \
+         `surface_tolerance`"
+    )]
+    BorderOffPlane {
+        /// How many open edges.
+        count: usize,
+        /// The farthest vertex.
+        vertex: u32,
+        /// Where it is, m.
+        position: [f64; 3],
+        /// Its distance from the plane, m.
+        distance: f64,
+        /// The tolerance, m.
+        tolerance: f64,
+    },
     /// More than two cells meet at an edge.
-    #[error("mesh: {count} edges have more than two cells, the first joins vertices {first:?}")]
+    #[error(
+        "mesh: {count} edges have more than two cells, the first joins vertices[{}] and vertices[{}] at {position:?} m; walls \
+         inside the bodies, as boolean fragments leave them, have to go: fuse the bodies and mesh only their outer surface",
+        first[0], first[1]
+    )]
     NonManifold {
         /// How many edges.
         count: usize,
         /// The first one's vertices.
         first: [u32; 2],
+        /// Where it is, m.
+        position: [f64; 3],
+    },
+    /// Neighbours point to opposite sides.
+    #[error(
+        "mesh: neighbours point to opposite sides at {count} edges, the first are cells[{}] and cells[{}] at the edge of \
+         vertices[{}] and vertices[{}], {position:?} m; orient the cells of each surface alike, outwards",
+        cells[0], cells[1], first[0], first[1]
+    )]
+    MixedOrientation {
+        /// How many edges.
+        count: usize,
+        /// The cells at the first one.
+        cells: [u32; 2],
+        /// Its vertices.
+        first: [u32; 2],
+        /// Where it is, m.
+        position: [f64; 3],
+    },
+    /// Vertices of one component's mesh are inside another component.
+    #[error(
+        "mesh: {count} vertices of other components lie inside `{component}`, the deepest at {position:?} m: {}{}; the bodies pass \
+         through each other untrimmed: fuse them (boolean union), so that the mesh ends where they meet",
+        list(worst), if *count > worst.len() { ", ..." } else { "" }
+    )]
+    Inside {
+        /// The component that they are in.
+        component: String,
+        /// How many vertices.
+        count: usize,
+        /// Where the deepest is, m.
+        position: [f64; 3],
+        /// The deepest ones with their depth, deepest first.
+        worst: Vec<VertexDistance>,
     },
     /// Vertices that lie on no component.
     #[error(
-        "mesh: {count} vertices are farther than {tolerance:.3e} m from every component: {}{}; put the mesh \
+        "mesh: {}{count} vertices are farther than {tolerance:.3e} m from every component: {}{}; put the mesh \
          on the components, or raise `surface_tolerance`",
+        misfit.map_or_else(String::new, |misfit| format!("{misfit}. ")),
         list(worst), if *count > worst.len() { ", ..." } else { "" }
     )]
     OffSurface {
@@ -207,13 +305,16 @@ pub enum SetupError {
         count: usize,
         /// The tolerance, m.
         tolerance: f64,
+        /// What is probably wrong, if the mesh as a whole does not fit.
+        misfit: Option<Misfit>,
         /// The farthest ones, farthest first.
         worst: Vec<VertexDistance>,
     },
     /// Cells whose vertices have no component in common.
     #[error(
         "mesh: {count} cells have vertices on different components with no common one (no row of vertices follows the \
-         seam there), the first are {first:?}; remesh so that edges follow the seams"
+         seam there), the first are {}; remesh so that edges follow the seams",
+        first.iter().map(|cell| format!("cells[{cell}]")).collect::<Vec<_>>().join(", ")
     )]
     CellAcrossSeam {
         /// How many cells.
@@ -444,6 +545,16 @@ impl Failure for SetupError {
             | Self::HeldSeam { vertex, .. }
             | Self::SeamAtEnd { vertex, .. }
             | Self::SeamSides { vertex, .. } => format!("mesh.vertices[{vertex}]"),
+            Self::Inside { worst, .. } => match worst.first() {
+                Some(worst) => format!("mesh.vertices[{}]", worst.vertex),
+                None => "mesh.vertices".to_owned(),
+            },
+            Self::BorderOffPlane { vertex, .. } => format!("mesh.vertices[{vertex}]"),
+            Self::RepeatedCells { first: cells, .. } | Self::MixedOrientation { cells, .. } => {
+                format!("mesh.cells[{}]", cells[1])
+            }
+            Self::DoubleVertices { .. } => "mesh.merge_tolerance".to_owned(),
+            Self::Misfit { .. } => "mesh".to_owned(),
             Self::OpenMesh { .. } | Self::NonManifold { .. } | Self::ReferenceSeam(_) => "mesh".to_owned(),
         })
     }

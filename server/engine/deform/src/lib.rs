@@ -16,6 +16,7 @@ pub mod chart;
 mod constraints;
 mod deformation;
 mod error;
+mod fit;
 mod inputs;
 pub mod inspection;
 mod linearisation;
@@ -23,6 +24,7 @@ mod options;
 pub mod ownership;
 mod report;
 mod setup;
+mod soundness;
 mod stage;
 mod symmetry;
 
@@ -33,6 +35,7 @@ pub use chain::{
 };
 pub use deformation::Deformation;
 pub use error::{Constraint, ControlPointsError, DeformError, SetupError, Source, VertexDistance};
+pub use fit::Misfit;
 pub use inputs::{Direction, Inputs};
 pub use linearisation::{Gradient, Linearisation, Stages, Tangent};
 pub use moldline_foundation::{Monitor, NoMonitor};

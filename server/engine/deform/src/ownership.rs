@@ -9,6 +9,7 @@ use rayon::prelude::*;
 use crate::{
     Monitor, SetupError, Stage,
     error::{LISTED, VertexDistance},
+    fit::misfit,
 };
 
 /// Distance of a parameter from the side of a patch, relative to its range, up to which it is on the side.
@@ -186,6 +187,7 @@ impl Ownership {
         ownership.cell_owner = ownership.cell_owners(vertices, cells, bodies, monitor)?;
         go_on(monitor)?;
         ownership.drop_stray_attachments(cells);
+        ownership.refuse_inside(vertices, bodies, tolerance, monitor)?;
         for (component, (index, body)) in (0u32..).zip(bodies.iter().enumerate()) {
             if !ownership.cell_owner.contains(&component) {
                 return Err(SetupError::UnusedComponent { index, name: body.component().name().to_owned() });
@@ -234,6 +236,43 @@ impl Ownership {
             let first = across.iter().take(LISTED).copied().collect();
             Err(SetupError::CellAcrossSeam { count: across.len(), first })
         }
+    }
+
+    /// Refuses vertices that are inside a component other than their own: such bodies are not trimmed where they meet. Inside and
+    /// outside of open components is not known.
+    fn refuse_inside(
+        &self,
+        vertices: &[[f64; 3]],
+        bodies: &[Body],
+        tolerance: f64,
+        monitor: &dyn Monitor<Stage>,
+    ) -> Result<(), SetupError> {
+        for (component, body) in (0u32..).zip(bodies).filter(|(_, body)| !body.component().is_open()) {
+            let bounds = body.bounds();
+            let candidates: Vec<u32> = self
+                .vertices()
+                .filter(|&v| self.on(v, component).is_none())
+                .filter(|&v| bounds.squared_distance(&Vector3::from(vertices[v as usize])) == 0.0)
+                .collect();
+            let depth = |&vertex: &u32| {
+                let x = Vector3::from(vertices[vertex as usize]);
+                let distance = if monitor.cancelled() { 0.0 } else { -body.signed_distance(&x) };
+                VertexDistance { vertex, distance }
+            };
+            let mut inside: Vec<VertexDistance> = candidates.par_iter().map(depth).collect();
+            go_on(monitor)?;
+            inside.retain(|v| v.distance > tolerance);
+            if inside.is_empty() {
+                continue;
+            }
+            inside.sort_by(|a, b| b.distance.total_cmp(&a.distance).then(a.vertex.cmp(&b.vertex)));
+            let count = inside.len();
+            let position = vertices[inside[0].vertex as usize];
+            inside.truncate(LISTED);
+            let component = body.component().name().to_owned();
+            return Err(SetupError::Inside { component, count, position, worst: inside });
+        }
+        Ok(())
     }
 
     /// A vertex stays attached only to components that own a cell around it: one that merely touches another component is
@@ -321,5 +360,7 @@ fn refuse_off_surface(
     off.sort_by(|a, b| b.distance.total_cmp(&a.distance).then(a.vertex.cmp(&b.vertex)));
     let count = off.len();
     off.truncate(LISTED);
-    Err(SetupError::OffSurface { count, tolerance, worst: off })
+    // A few vertices may be wrong in a mesh that fits as a whole.
+    let misfit = if 4 * count >= vertices.len() { misfit(vertices, bodies) } else { None };
+    Err(SetupError::OffSurface { count, tolerance, misfit, worst: off })
 }

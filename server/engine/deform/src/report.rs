@@ -4,7 +4,7 @@ use std::{fmt, sync::Arc};
 
 use moldline_geometry::{Body, Component, Location};
 use moldline_mesh::{
-    MeshError, QualityReport, SurfaceMesh, Topology, area_vector, quality, topology::enclosed_volume,
+    LeftOut, MeshError, QualityReport, SurfaceMesh, Topology, area_vector, quality, topology::enclosed_volume,
 };
 
 use crate::{
@@ -83,6 +83,10 @@ pub struct SetupReport {
     pub watertight: bool,
     /// Edges with one cell.
     pub open_edges: usize,
+    /// Cells that pointed inwards and were turned.
+    pub turned_cells: usize,
+    /// Parts of the mesh file that were left out.
+    pub left_out: LeftOut,
     /// Vertices - edges + cells.
     pub euler: i64,
     /// Pieces that are not connected to one another.
@@ -120,6 +124,8 @@ pub(crate) struct Findings<'a> {
     pub length: f64,
     /// Number of edges with one cell outside the symmetry plane.
     pub open_edges: usize,
+    pub turned_cells: usize,
+    pub left_out: LeftOut,
     /// Number of vertices in the symmetry plane.
     pub in_plane: usize,
     /// Number of vertices that stay where they are in space.
@@ -161,6 +167,8 @@ impl SetupReport {
             seam_residual: found.seam_residual,
             watertight: found.open_edges == 0,
             open_edges: found.open_edges,
+            turned_cells: found.turned_cells,
+            left_out: found.left_out,
             euler: topology.euler(),
             pieces: topology.pieces,
             volume: enclosed_volume(&mesh.vertices, &mesh.cells, half_plane),
@@ -225,6 +233,21 @@ impl fmt::Display for SetupReport {
             self.pieces,
             if self.pieces == 1 { "" } else { "s" }
         )?;
+        let LeftOut { nodes, merged_nodes, other_cells, collapsed_cells } = self.left_out;
+        if self.left_out != LeftOut::default() {
+            let counts = [
+                (nodes, "nodes without cells"),
+                (other_cells, "other cells (volumes, ghosts)"),
+                (collapsed_cells, "collapsed cells"),
+            ];
+            let counts = counts.iter().filter(|(count, _)| *count > 0);
+            let counts: Vec<String> = counts.map(|(count, what)| format!("{count} {what}")).collect();
+            let left_out = if counts.is_empty() { "nothing".to_owned() } else { counts.join(", ") };
+            writeln!(f, "left out    {left_out}; {merged_nodes} nodes merged into others")?;
+        }
+        if self.turned_cells > 0 {
+            writeln!(f, "turned      {} cells, which pointed inwards", self.turned_cells)?;
+        }
         let closed = if self.watertight { "watertight" } else { "open" };
         writeln!(
             f,

@@ -3,7 +3,7 @@
 use std::{collections::HashSet, sync::Arc};
 
 use moldline_geometry::{Aabb, Body, Component, Location, SmoothUnion};
-use moldline_mesh::{SurfaceMesh, Topology};
+use moldline_mesh::{Origin, SurfaceMesh, Topology};
 use moldline_parameterisation::Parameterisation;
 use moldline_rbf::Factors;
 use moldline_spline::Vector3;
@@ -26,9 +26,11 @@ use crate::{
     },
     constraints::{Constraints, in_groups},
     error::Source,
+    fit::misfit,
     inspection::Inspection,
     ownership::{Ownership, OwnershipParts},
     report::{self, Findings, SetupReport},
+    soundness,
     symmetry::{InPlane, MeshSymmetry},
 };
 
@@ -39,12 +41,27 @@ pub struct SetupInput {
     pub components: Vec<Component>,
     /// The reference mesh.
     pub mesh: SurfaceMesh,
+    /// Where it comes from.
+    pub origin: Arc<Origin>,
     /// Design variables to control points.
     pub parameterisation: Parameterisation,
     /// Scalar outputs besides those that every set-up has.
     pub outputs: Vec<OutputDeclaration>,
     /// The user's choices.
     pub options: Options,
+}
+
+impl SetupInput {
+    /// An estimate of the memory that [`Setup::build`] takes at its peak, bytes: for the systems of the fields, of at most
+    /// `training_vertices` centres and, on a half model, their images, the matrix, its factor, and the factor as it is stored;
+    /// for the rest a multiple of the mesh.
+    pub fn build_memory(&self) -> u64 {
+        /// Topology, owners, seams and quality of a vertex or cell.
+        const EACH: u64 = 2048;
+        let mesh = (self.mesh.vertices.len() + self.mesh.cells.len()) as u64;
+        let centres = 2 * self.options.training_vertices.min(self.mesh.vertices.len()) as u64;
+        EACH * mesh + 3 * size_of::<f64>() as u64 * centres * centres
+    }
 }
 
 /// The results of a set-up's searches and factorisations, from which the same set-up is restored without doing them again.
@@ -76,6 +93,7 @@ pub struct FoundSeams {
 pub struct Setup {
     options: Options,
     pub(crate) mesh: Arc<SurfaceMesh>,
+    origin: Arc<Origin>,
     pub(crate) components: Vec<Arc<Component>>,
     /// The components in the reference state.
     reference: Arc<[Body]>,
@@ -142,27 +160,38 @@ impl Setup {
         derived: Derived,
         monitor: &dyn Monitor<Stage>,
     ) -> Result<Self, SetupError> {
-        let SetupInput { components, mesh, parameterisation, outputs, options } = input;
+        let SetupInput { components, mut mesh, origin, parameterisation, outputs, options } = input;
         options.validate()?;
         let names: Vec<String> = components.iter().map(|c| c.name().to_owned()).collect();
         check_names(&names, &options, &mesh)?;
         let components: Vec<Arc<Component>> = components.into_iter().map(Arc::new).collect();
-        let mesh = Arc::new(mesh);
         let bounds = Aabb::around(mesh.vertices.iter().map(|x| Vector3::from(*x)));
         let length = bounds.diagonal();
         let reach = Reach::new(bounds.center(), length);
         let baseline = parameterisation.control_points(&parameterisation.baseline());
         let baseline = baseline.map_err(SetupError::Baseline)?;
-        reach.check(&components, &baseline, |_| Source::Setup).map_err(SetupError::ControlPoints)?;
         let reference = bodies(&components, &baseline);
         let reference: Arc<[Body]> = reference.map_err(SetupError::ControlPoints)?.into();
+        reach.check(&components, &baseline, |_| Source::Setup).map_err(|error| {
+            match misfit(&mesh.vertices, &reference) {
+                Some(misfit) => SetupError::Misfit { misfit, error },
+                None => SetupError::ControlPoints(error),
+            }
+        })?;
 
         monitor.progress(Stage::Mesh, 0.0);
         let tolerance = options.surface_tolerance * length;
         let topology = Topology::new(&mesh);
+        soundness::refuse_repeated_cells(&mesh, length)?;
+        soundness::refuse_branches(&mesh, &topology)?;
         let symmetry = MeshSymmetry::find(&mesh, &topology, tolerance, options.symmetric)?;
         let in_plane = symmetry.in_plane(&mesh);
-        let open_edges = symmetry.open_edges(&mesh, &topology, options.open_mesh)?;
+        let open_edges = symmetry.open_edges(&mesh, &topology);
+        if !open_edges.is_empty() && !options.open_mesh {
+            return Err(soundness::open_mesh(&mesh, &topology, &symmetry, &open_edges, length));
+        }
+        let turned_cells = soundness::turn_inward_pieces(&mut mesh, &topology, &symmetry, &open_edges);
+        let mesh = Arc::new(mesh);
 
         let mut ownership = Ownership::new(derived.ownership, &mesh, &reference, tolerance, monitor)?;
         let component_summaries = report::components(&ownership, &components);
@@ -201,8 +230,8 @@ impl Setup {
         .build(monitor)?;
 
         monitor.progress(Stage::Report, 0.0);
-        let origin = if symmetry.half().is_some() { Vector3::zeros() } else { positions[0] };
-        let outputs = Outputs::new(&outputs, &components, origin)?;
+        let apex = if symmetry.half().is_some() { Vector3::zeros() } else { positions[0] };
+        let outputs = Outputs::new(&outputs, &components, apex)?;
         let union = SmoothUnion::from_fillet(options.fillet.unwrap_or(5e-4 * length));
         let chain = Chain {
             motions: Motions::new(
@@ -258,6 +287,8 @@ impl Setup {
             options: &options,
             length,
             open_edges: open_edges.len(),
+            turned_cells,
+            left_out: origin.left_out,
             in_plane: in_plane.count(),
             stationary: stationary.iter().filter(|s| **s).count(),
             components: component_summaries,
@@ -269,6 +300,7 @@ impl Setup {
         Ok(Self {
             options,
             mesh,
+            origin,
             components,
             reference,
             positions,
@@ -284,6 +316,11 @@ impl Setup {
         })
     }
 
+    /// Where the mesh comes from: the numbers of its parts in the user's file.
+    pub fn origin(&self) -> &Origin {
+        &self.origin
+    }
+
     /// The report of the set-up.
     pub fn report(&self) -> &SetupReport {
         &self.report
@@ -296,6 +333,13 @@ impl Setup {
         const OF_A_CELL: usize = 200;
         let fields: usize = self.fields().iter().map(|field| field.field.bytes()).sum();
         fields + OF_A_VERTEX * self.mesh.vertices.len() + OF_A_CELL * self.mesh.cells.len()
+    }
+
+    /// An estimate of the memory that a deformation and its linearisation take at their peak, bytes.
+    pub fn deformation_memory(&self) -> u64 {
+        /// Feet, bases and derivatives of every step, for each vertex.
+        const EACH: u64 = 2048;
+        EACH * self.mesh.vertices.len() as u64
     }
 
     /// The reference mesh, as given.

@@ -63,30 +63,8 @@ impl MeshSymmetry {
     }
 
     /// The edges with one cell that are not on the border in the plane.
-    ///
-    /// # Errors
-    /// [`SetupError::OpenMesh`] if there are any and the options do not accept them; [`SetupError::NonManifold`].
-    pub fn open_edges(
-        &self,
-        mesh: &SurfaceMesh,
-        topology: &Topology,
-        accepted: bool,
-    ) -> Result<Vec<u32>, SetupError> {
-        let open_edges = topology.open_edges(&mesh.vertices, self.half());
-        if let Some(&first) = topology.non_manifold_edges.first() {
-            return Err(SetupError::NonManifold {
-                count: topology.non_manifold_edges.len(),
-                first: topology.edges[first as usize],
-            });
-        }
-        match open_edges.first() {
-            Some(&first) if !accepted => {
-                let first = topology.edges[first as usize];
-                let position = mesh.vertices[first[0] as usize];
-                Err(SetupError::OpenMesh { count: open_edges.len(), first, position })
-            }
-            _ => Ok(open_edges),
-        }
+    pub fn open_edges(&self, mesh: &SurfaceMesh, topology: &Topology) -> Vec<u32> {
+        topology.open_edges(&mesh.vertices, self.half())
     }
 }
 

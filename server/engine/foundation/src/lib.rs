@@ -14,7 +14,7 @@ pub mod simd;
 pub mod smooth_step;
 
 pub use block::Block;
-pub use failure::{Class, Failure};
+pub use failure::{Class, Failure, Outside, short};
 pub use monitor::{Monitor, NoMonitor};
 
 /// A point or vector of space, in metres where it is a position.

@@ -73,8 +73,14 @@ pub enum ComponentError {
     },
     /// The shell has a boundary, and that was not allowed.
     #[error(
-        "side {side:?} of patch '{patch}' from {from:?} to {to:?} joins no other patch ({count} such edges): close the \
-         shell, or allow open shells"
+        "side {side:?} of patch '{patch}' from {from:?} to {to:?} joins no other patch ({count} such edges); the nearest side is up to \
+         {gap:.3e} m away: {}",
+        match fraction {
+            Some(fraction) => format!(
+                "set the component's `edge_tolerance` to a little more, such as {fraction:e} (a fraction of its size), or close the gap"
+            ),
+            None => "close the shell, or set `open = true` if it is meant to be open".to_owned(),
+        }
     )]
     Open {
         /// The patch's name.
@@ -87,6 +93,10 @@ pub enum ComponentError {
         to: [f64; 3],
         /// Number of boundary edges.
         count: usize,
+        /// Largest distance of the side from the nearest other one, m; infinite without another one.
+        gap: f64,
+        /// The tolerance that joins them as a fraction of the component's size, if the gap looks like one.
+        fraction: Option<f64>,
     },
     /// More than two patch sides share an edge.
     #[error(

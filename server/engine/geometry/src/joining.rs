@@ -38,7 +38,7 @@ pub(crate) fn join(
     size: f64,
     options: &ComponentOptions,
 ) -> Result<Topology, ComponentError> {
-    let finder = Finder { patches, control_points, tolerance: options.edge_tolerance * size };
+    let finder = Finder { patches, control_points, size, tolerance: options.edge_tolerance * size };
     let mut topology = finder.match_sides()?;
     topology.flipped = finder.orient(&topology, options)?;
     finder.classify(&mut topology, options);
@@ -51,6 +51,9 @@ struct Candidate {
     vertices: [u32; 2],
     collapsed: bool,
 }
+
+/// Largest gap, as a fraction of the component's size, that a tolerance should close.
+const LARGEST_GAP: f64 = 1e-3;
 
 /// The corners of all patches; those within the tolerance of each other are one vertex.
 struct Corners {
@@ -71,6 +74,8 @@ struct Cuts {
 struct Finder<'a> {
     patches: &'a [Patch],
     control_points: &'a [[f64; 4]],
+    /// That of the component, m.
+    size: f64,
     tolerance: f64,
 }
 
@@ -323,13 +328,37 @@ impl Finder<'_> {
 
     /// The error of a shell with `count` boundary edges, the first of which is `side`.
     fn open(&self, side: &EdgeSide, count: usize) -> ComponentError {
+        let gap = self.gap(side);
+        // Twice the gap, rounded up to one digit.
+        let least = 2.0 * gap / self.size;
+        let digit = 10_f64.powf(least.log10().floor());
         ComponentError::Open {
+            gap,
+            fraction: (least > 0.0 && least <= LARGEST_GAP).then(|| (least / digit).ceil() * digit),
             patch: self.patches[side.patch as usize].name.clone(),
             side: side.side,
             from: self.position(&side.at(self.patches, 0.0)).into(),
             to: self.position(&side.at(self.patches, 1.0)).into(),
             count,
         }
+    }
+
+    /// The largest distance of a side from the other side that is nearest to it all along, m.
+    fn gap(&self, side: &EdgeSide) -> f64 {
+        let samples: Vec<Vector3> =
+            (0..=8).map(|k| self.position(&side.at(self.patches, f64::from(k) / 8.0))).collect();
+        let others = (0..).zip(self.patches).flat_map(|(index, patch)| {
+            Side::ALL
+                .into_iter()
+                .filter(move |&other| (index, other) != (side.patch, side.side))
+                .map(move |s| (patch, s))
+        });
+        let farthest = |(patch, other): (&Patch, Side)| {
+            let domain = patch.side_domain(other);
+            let distance = |x| patch.closest_on_side(self.control_points, other, domain, x).1;
+            samples.iter().map(distance).fold(0.0, f64::max)
+        };
+        others.map(farthest).fold(f64::INFINITY, f64::min)
     }
 
     /// The point from which the volume of a shell is measured. From the middle of its boundary an open shell with one

@@ -4,30 +4,79 @@
 //! byte offset of the fault. Cells other than triangles and quadrilaterals are left out and counted.
 
 mod cursor;
+mod draft;
 #[cfg(test)]
 mod linear;
 pub mod msh;
 pub mod stl;
 pub mod vtu;
 
-use std::{collections::HashMap, fmt};
+use std::fmt;
 
 use thiserror::Error;
 
-use crate::{Cell, Group, Limits, MeshError, SurfaceMesh};
+use self::draft::Draft;
+use crate::{Limits, MeshError, Numbering, Origin, SurfaceMesh};
 
-/// A mesh as read, with counts of what was left out.
+/// A mesh as read, with the numbers that its parts have in the file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Imported {
     /// The surface.
     pub mesh: SurfaceMesh,
-    /// Each vertex's identifier in the file: its node tag (MSH), its index (VTU), its first corner (STL).
-    pub vertex_ids: Vec<u64>,
-    /// Vertices of the file that belong to no triangle or quadrilateral, and were left out.
-    pub ignored_vertices: usize,
-    /// Cells that were left out: volume cells, and triangles that collapse when STL vertices are merged.
-    pub ignored_cells: usize,
+    /// Its numbers in the file, and counts of what was left out.
+    pub origin: Origin,
 }
+
+/// The formats, by their endings.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    /// Gmsh's `.msh`.
+    Msh,
+    /// VTK's `.vtu`.
+    Vtu,
+    /// `.stl`.
+    Stl,
+}
+
+impl Format {
+    /// Their endings, for messages.
+    pub const ENDINGS: &'static str = ".msh, .vtu or .stl";
+
+    /// The format of a file of this name, by its ending; `None` for others.
+    pub fn of_name(name: &str) -> Option<Self> {
+        let (_, ending) = name.rsplit_once('.')?;
+        match ending.to_ascii_lowercase().as_str() {
+            "msh" => Some(Self::Msh),
+            "vtu" => Some(Self::Vtu),
+            "stl" => Some(Self::Stl),
+            _ => None,
+        }
+    }
+
+    /// Reads a mesh and merges its nodes within `tolerance`, in the file's unit; 0 merges none but the equal corners of STL, and
+    /// the equal points at the borders of pieces of VTU.
+    ///
+    /// # Errors
+    /// [`ReadError`], with a line or byte offset.
+    pub fn read(self, bytes: &[u8], tolerance: f64, limits: &Limits) -> Result<Imported, ReadError> {
+        match self {
+            Self::Msh => msh::read_merged(bytes, tolerance, limits),
+            Self::Vtu => vtu::read_merged(bytes, tolerance, limits),
+            Self::Stl => stl::read(bytes, tolerance, limits),
+        }
+    }
+}
+
+/// A mesh from arrays with its vertices merged within `tolerance`, m.
+///
+/// # Errors
+/// [`ReadError::MergeTolerance`] if the tolerance is too large.
+pub fn merged(mesh: SurfaceMesh, tolerance: f64, limits: &Limits) -> Result<Imported, ReadError> {
+    Draft::of_mesh(mesh).finish(Numbering::Arrays, Vec::new(), tolerance, limits)
+}
+
+/// The mark that some editors put before a text in UTF-8.
+const BYTE_ORDER_MARK: &[u8] = b"\xEF\xBB\xBF";
 
 /// A position in a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -104,9 +153,55 @@ pub enum ReadError {
         /// The missing part.
         what: &'static str,
     },
+    /// A coordinate that is not a number, or infinite.
+    #[error("{place}: coordinate {} of corner {corner} of facets[{facet}] is {value}, which is not a finite number", ["x", "y", "z"][*axis])]
+    NotFinite {
+        /// Where.
+        place: Place,
+        /// Number of the facet, from 0.
+        facet: u64,
+        /// Its corner, from 0.
+        corner: usize,
+        /// 0, 1, 2 for x, y, z.
+        axis: usize,
+        /// The value found.
+        value: f64,
+    },
+    /// A file without triangles and quadrilaterals.
+    #[error(
+        "the file has no triangles or quadrilaterals ({nodes} nodes and {other_cells} cells of other kinds, such as volumes, were \
+         left out); save the surfaces too (Gmsh: put them into a physical group, or set Mesh.SaveAll = 1)"
+    )]
+    NoSurface {
+        /// Nodes.
+        nodes: usize,
+        /// Cells of other kinds.
+        other_cells: usize,
+    },
+    /// Merging would take away visible parts of the surface.
+    #[error(
+        "merge_tolerance = {tolerance:e} collapses {count} of {cells} cells with {:.1} % of the area; take a smaller one, at \
+         most the distance of double nodes",
+        100.0 * loss
+    )]
+    MergeTolerance {
+        /// The tolerance, in the file's unit.
+        tolerance: f64,
+        /// Cells that collapse.
+        count: usize,
+        /// All cells.
+        cells: usize,
+        /// Share of the area.
+        loss: f64,
+    },
     /// The file is well-formed, but its mesh is not valid.
-    #[error(transparent)]
-    Mesh(#[from] MeshError),
+    #[error("{message}")]
+    Mesh {
+        /// What is wrong, with indices of the mesh.
+        error: MeshError,
+        /// The same with the numbers of the file.
+        message: String,
+    },
 }
 
 impl ReadError {
@@ -124,76 +219,4 @@ fn looked_at(count: usize) {
     linear::LOOKED_AT.with(|sum| sum.set(sum.get() + count));
     #[cfg(not(test))]
     let _ = count;
-}
-
-/// A reader's raw result: nodes that cells may or may not use, and groups whose indices may repeat.
-#[derive(Default)]
-struct Draft {
-    ids: Vec<u64>,
-    positions: Vec<[f64; 3]>,
-    /// Cells, as indices of `positions`.
-    cells: Vec<Cell>,
-    cell_groups: Groups,
-    vertex_groups: Groups,
-    ignored_cells: usize,
-}
-
-/// Groups in order of appearance, found by name.
-#[derive(Default)]
-struct Groups {
-    list: Vec<Group>,
-    numbers: HashMap<String, usize>,
-}
-
-impl Groups {
-    /// Adds indices to the group of that name, which may be new.
-    fn add(&mut self, name: &str, indices: impl IntoIterator<Item = u32>) {
-        looked_at(1 + name.len());
-        let number = match self.numbers.get(name) {
-            Some(&number) => number,
-            None => {
-                self.numbers.insert(name.to_owned(), self.list.len());
-                self.list.push(Group { name: name.to_owned(), indices: Vec::new() });
-                self.list.len() - 1
-            }
-        };
-        self.list[number].indices.extend(indices);
-    }
-}
-
-impl Draft {
-    /// Leaves out nodes that no cell uses, sorts the groups, and validates.
-    fn finish(mut self, limits: &Limits) -> Result<Imported, ReadError> {
-        const UNUSED: u32 = u32::MAX;
-        let mut number = vec![UNUSED; self.positions.len()];
-        for vertex in self.cells.iter().flat_map(|cell| cell.vertices()) {
-            number[*vertex as usize] = 0;
-        }
-        let mut used = 0;
-        for number in number.iter_mut().filter(|number| **number != UNUSED) {
-            *number = used;
-            used += 1;
-        }
-        let ignored_vertices = number.len() - used as usize;
-        let mut keep = number.iter().map(|&number| number != UNUSED);
-        self.positions.retain(|_| keep.next() == Some(true));
-        let mut keep = number.iter().map(|&number| number != UNUSED);
-        self.ids.retain(|_| keep.next() == Some(true));
-        for cell in &mut self.cells {
-            *cell = cell.map(|vertex| number[vertex as usize]);
-        }
-        for group in &mut self.vertex_groups.list {
-            for index in &mut group.indices {
-                *index = number[*index as usize];
-            }
-            group.indices.retain(|&index| index != UNUSED);
-        }
-        for group in self.vertex_groups.list.iter_mut().chain(&mut self.cell_groups.list) {
-            group.indices.sort_unstable();
-            group.indices.dedup();
-        }
-        let Self { ids, positions, cells, cell_groups, vertex_groups, ignored_cells } = self;
-        let mesh = SurfaceMesh::with_limits(positions, cells, cell_groups.list, vertex_groups.list, limits)?;
-        Ok(Imported { mesh, vertex_ids: ids, ignored_vertices, ignored_cells })
-    }
 }

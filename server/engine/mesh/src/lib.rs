@@ -21,13 +21,16 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+pub mod cracks;
 pub mod graph;
 mod grid;
 pub mod io;
 pub mod laplacian;
+pub mod merge;
 mod mesh;
 mod normals;
 pub mod orientation;
+pub mod origin;
 pub mod quality;
 pub mod symmetry;
 pub mod topology;
@@ -36,6 +39,7 @@ pub use graph::{graph_distance, nearest_source, nearest_sources};
 pub use laplacian::Laplacian;
 pub use mesh::{Cell, Group, Limits, MeshError, SurfaceMesh};
 pub use normals::{area_vector, vertex_normals};
+pub use origin::{LeftOut, Numbering, Origin};
 pub use quality::{CellQuality, Distribution, QualityReport, Summary};
 pub use symmetry::Plane;
 pub use topology::{Csr, Topology};

@@ -388,10 +388,12 @@ fn write_table(f: &mut fmt::Formatter<'_>, rows: Vec<[String; COLUMNS]>) -> fmt:
         "max",
         "folded/inverted",
     ];
+    /// Longer names stand out of their column: formats have a limit of their own for widths.
+    const WIDEST: usize = 200;
     let widths: [usize; COLUMNS] = std::array::from_fn(|k| {
         let cells = rows.iter().map(|row| row[k].chars().count());
         // A heading of two words extends over the columns to its right.
-        cells.chain([names[k].len()]).max().unwrap_or(0)
+        cells.chain([names[k].len()]).max().unwrap_or(0).min(WIDEST)
     });
     let mut heading = String::new();
     let mut column = 0;

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use moldline_mesh::{
-    Cell, Group, Limits, SurfaceMesh, Topology,
+    Cell, Group, LeftOut, Limits, SurfaceMesh, Topology,
     io::{Imported, Place, ReadError, msh, stl, vtu},
     topology::enclosed_volume,
 };
@@ -67,13 +67,13 @@ fn gmsh_files_of_both_versions_are_read_alike() {
     for imported in &read[1..] {
         assert_eq!(cells_by_position(&imported.mesh), cells_by_position(&read[0].mesh));
     }
-    for Imported { mesh, vertex_ids, ignored_vertices, ignored_cells } in &read {
+    for Imported { mesh, origin } in &read {
         let topology = Topology::new(mesh);
         assert!(
             topology.non_manifold_edges.is_empty() && topology.open_edges(&mesh.vertices, None).is_empty()
         );
-        assert_eq!((topology.euler(), *ignored_vertices, *ignored_cells), (2, 0, 0));
-        assert_eq!(vertex_ids.len(), mesh.vertices.len());
+        assert_eq!((topology.euler(), origin.left_out), (2, LeftOut::default()));
+        assert_eq!(origin.nodes.len(), mesh.vertices.len());
         assert_eq!(names(&mesh.cell_groups), BTreeSet::from(["ends", "the sides", "two of them"]));
         assert_eq!(names(&mesh.vertex_groups), BTreeSet::from(["corners", "rim"]));
         let x = |v: &u32| mesh.vertices[*v as usize][0];
@@ -119,27 +119,33 @@ fn stl_vertices_are_merged() {
     let triangles: usize = from_gmsh.cells.iter().map(|cell| cell.vertices().len() - 2).sum();
     for bytes in STL {
         for tolerance in [0.0, 1e-5] {
-            let Imported { mesh, ignored_cells, .. } = stl::read(bytes, tolerance, &limits()).unwrap();
-            assert_eq!((mesh.cells.len(), ignored_cells), (triangles, 0));
+            let Imported { mesh, origin } = stl::read(bytes, tolerance, &limits()).unwrap();
+            assert_eq!((mesh.cells.len(), origin.left_out), (triangles, LeftOut::default()));
             assert_eq!(mesh.vertices.len(), from_gmsh.vertices.len());
             let topology = Topology::new(&mesh);
             assert!(topology.boundary_edges.is_empty() && topology.euler() == 2);
         }
         // Every triangle collapses once all vertices are one.
         let all = stl::read(bytes, 10.0, &limits()).unwrap_err();
-        assert!(matches!(all, ReadError::Mesh(_)), "{all}");
+        assert!(matches!(all, ReadError::MergeTolerance { .. }), "{all}");
     }
     let ascii = "solid left\n facet normal 0 0 1\n outer loop\n vertex 0 0 0\n vertex 1 0 0\n vertex 0 1 0\n endloop\n \
                  endfacet\nendsolid left\nSOLID right\nfacet normal nan nan nan outer loop vertex 1.0000001 0 -0 vertex 1 1 \
                  0 vertex 0 1 0 endloop endfacet\nfacet normal 0 0 1 outer loop vertex 1 0 0 vertex 1.0000001 0 0 vertex 1 1 0 \
                  endloop endfacet\nendsolid";
     let exact = stl::read(ascii.as_bytes(), 0.0, &limits()).unwrap();
-    assert_eq!((exact.mesh.vertices.len(), exact.mesh.cells.len(), exact.ignored_cells), (5, 3, 0));
+    assert_eq!(
+        (exact.mesh.vertices.len(), exact.mesh.cells.len(), exact.origin.left_out.collapsed_cells),
+        (5, 3, 0)
+    );
     let merged = stl::read(ascii.as_bytes(), 1e-6, &limits()).unwrap();
-    assert_eq!((merged.mesh.vertices.len(), merged.mesh.cells.len(), merged.ignored_cells), (4, 2, 1));
+    assert_eq!(
+        (merged.mesh.vertices.len(), merged.mesh.cells.len(), merged.origin.left_out.collapsed_cells),
+        (4, 2, 1)
+    );
     assert_eq!(merged.mesh.cell_group("left").unwrap().indices, [0]);
     assert_eq!(merged.mesh.cell_group("right").unwrap().indices, [1]);
-    assert_eq!(merged.vertex_ids, [0, 1, 2, 4]);
+    assert_eq!(merged.origin.nodes, [0, 1, 2, 4]);
 }
 
 #[test]
@@ -172,8 +178,8 @@ fn volume_cells_and_stray_nodes_are_left_out() {
                 1 0\n40 0 0 1\n50 9 9 9\n60 1 1 0\n$EndNodes\n$Elements\n4\n1 2 2 7 1 10 20 30\n2 4 2 0 1 10 20 30 40\n3 2 0 20 60 30\n4 2 2 8 1 \
                 10 20 30\n$EndElements\n";
     let read = msh::read(text.as_bytes(), &limits()).unwrap();
-    assert_eq!((read.ignored_vertices, read.ignored_cells), (2, 1));
-    assert_eq!(read.vertex_ids, [10, 20, 30, 60]);
+    assert_eq!((read.origin.left_out.nodes, read.origin.left_out.other_cells), (2, 1));
+    assert_eq!(read.origin.nodes, [10, 20, 30, 60]);
     // The last element repeats the first for its second physical group.
     assert_eq!(read.mesh.cells, [Cell::triangle(0, 1, 2), Cell::triangle(1, 3, 2)]);
     assert_eq!(
@@ -199,7 +205,7 @@ fn errors_name_the_line_or_the_byte() {
         other => panic!("{other}"),
     }
     assert!(matches!(
-        error(&good.replace("2.2 0 8", "4.0 0 8")),
+        error(&good.replace("2.2 0 8", "3.0 0 8")),
         ReadError::Unsupported { place: Place::Line(2), .. }
     ));
     assert!(matches!(error(&good.replace("2.2 0 8", "2.2 0 4")), ReadError::Unsupported { .. }));

@@ -21,46 +21,30 @@ pub(crate) fn bisect(mut set: Vec<u32>, centres: &[Vector3], most: usize, out: &
 }
 
 /// Panels of a patch at most.
-const PATCH: usize = 32;
+pub(crate) const PATCH: usize = 32;
 
-/// A cluster of panels and the edges of which they are the left ones: all patches together are the surface. Loops over pairs
-/// go patch by patch, so that what they need of the points stays in the cache.
+/// A cluster of panels: all patches together are the surface. Loops over pairs go patch by patch, so that what they need stays in the
+/// cache.
 #[derive(Clone, Debug)]
 pub(crate) struct Patch {
-    /// Points of the panels.
-    pub points: Vec<u32>,
     pub panels: Vec<u32>,
-    /// Corners of the panels, as places in `points`.
-    pub corners: Vec<[u32; 4]>,
-    pub edges: Vec<u32>,
-    /// Ends `[a, b]` of the edges, likewise.
-    pub ends: Vec<[u32; 2]>,
+    /// Nodes of the panels.
+    pub nodes: Vec<u32>,
+    /// Nodes at the corners of the panels, as places in `nodes`.
+    pub places: Vec<[u32; 4]>,
 }
 
 impl Patch {
-    /// Cuts panels into patches. `centres` and `corners` are the panels', `own` the edges of which each panel is the left one, `ends` those of
-    /// every edge.
-    pub fn cut(
-        centres: &[Vector3],
-        corners: &[[u32; 4]],
-        own: &[Vec<u32>],
-        ends: impl Fn(u32) -> [u32; 2],
-    ) -> Vec<Self> {
+    /// Cuts panels into patches. `centres` and `corners` are the panels', the latter as nodes.
+    pub fn cut(centres: &[Vector3], corners: &[[u32; 4]]) -> Vec<Self> {
         let mut sets = Vec::new();
         bisect((0..corners.len() as u32).collect(), centres, PATCH, &mut sets);
         let patch = |panels: Vec<u32>| {
-            let mut points: Vec<u32> = panels.iter().flat_map(|p| corners[*p as usize]).collect();
-            points.sort_unstable();
-            points.dedup();
-            let place = |point: u32| points.partition_point(|p| *p < point) as u32;
-            let edges: Vec<u32> = panels.iter().flat_map(|p| own[*p as usize].iter().copied()).collect();
-            Self {
-                corners: panels.iter().map(|p| corners[*p as usize].map(place)).collect(),
-                ends: edges.iter().map(|e| ends(*e).map(place)).collect(),
-                edges,
-                panels,
-                points,
-            }
+            let mut nodes: Vec<u32> = panels.iter().flat_map(|p| corners[*p as usize]).collect();
+            nodes.sort_unstable();
+            nodes.dedup();
+            let place = |node: u32| nodes.partition_point(|n| *n < node) as u32;
+            Self { places: panels.iter().map(|p| corners[*p as usize].map(place)).collect(), panels, nodes }
         };
         sets.into_iter().map(patch).collect()
     }

@@ -1,6 +1,6 @@
 //! Section loads and pressure coefficients at one angle of attack, and their derivative.
 //!
-//! With w the wind's direction, `load = 2 sum_k w_k Gamma_k` for a strip, `Cp = sum_kl w_k w_l C_kl` for a panel.
+//! With w the wind's direction, `load = sum_k w_k (Gamma_a,k + Gamma_b,k)` for a strip from a to b, `Cp = sum_kl w_k w_l C_kl` for a panel.
 
 use crate::{flow::FlowChange, pressure::Form, wind::Wind};
 
@@ -17,15 +17,20 @@ pub(crate) fn form<const B: usize>(f: &Form<B>, w: &[f64; B]) -> f64 {
     (0..B).map(|k| (0..B).map(|l| w[k] * w[l] * f[k][l]).sum::<f64>()).sum()
 }
 
+/// The sum of the circulations at both ends of a strip.
+fn both(circulations: &[f64], strip: usize) -> f64 {
+    circulations[2 * strip] + circulations[2 * strip + 1]
+}
+
 /// The distributions.
 pub(crate) fn eval<const B: usize>(
     circulations: &[Vec<f64>; B],
     forms: &[Form<B>],
     wind: &Wind<B>,
 ) -> Distributions {
-    let load = |s: usize| 2.0 * (0..B).map(|k| wind.w[k] * circulations[k][s]).sum::<f64>();
+    let load = |s: usize| (0..B).map(|k| wind.w[k] * both(&circulations[k], s)).sum::<f64>();
     Distributions {
-        loads: (0..circulations[0].len()).map(load).collect(),
+        loads: (0..circulations[0].len() / 2).map(load).collect(),
         cp: forms.iter().map(|f| form(f, &wind.w)).collect(),
     }
 }
@@ -39,8 +44,8 @@ pub(crate) fn jvp<const B: usize>(
 ) -> Distributions {
     let (w, dw) = (&wind.w, wind.jvp(change));
     let load = |s: usize| {
-        let of = |k: usize| w[k] * d_circulations[k][s] + dw[k] * circulations[k][s];
-        2.0 * (0..B).map(of).sum::<f64>()
+        let of = |k: usize| w[k] * both(&d_circulations[k], s) + dw[k] * both(&circulations[k], s);
+        (0..B).map(of).sum::<f64>()
     };
     let cp = |(change, form): (&Form<B>, &Form<B>)| {
         let mut sum = 0.0;
@@ -52,7 +57,7 @@ pub(crate) fn jvp<const B: usize>(
         sum
     };
     Distributions {
-        loads: (0..circulations[0].len()).map(load).collect(),
+        loads: (0..circulations[0].len() / 2).map(load).collect(),
         cp: d_forms.iter().zip(forms).map(cp).collect(),
     }
 }
@@ -69,8 +74,8 @@ pub(crate) fn vjp<const B: usize>(
     let mut of_circulations: [Vec<f64>; B] = std::array::from_fn(|k| vec![0.0; circulations[k].len()]);
     for (strip, load) in seeds.loads.iter().enumerate() {
         for k in 0..B {
-            of_circulations[k][strip] += 2.0 * load * w[k];
-            of_w[k] += 2.0 * load * circulations[k][strip];
+            (0..2).for_each(|end| of_circulations[k][2 * strip + end] += load * w[k]);
+            of_w[k] += load * both(&circulations[k], strip);
         }
     }
     let mut of_forms = vec![[[0.0; B]; B]; forms.len()];

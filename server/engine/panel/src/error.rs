@@ -1,6 +1,6 @@
 //! Errors of set-ups and solutions: what is wrong, where, and the way out.
 
-use moldline_foundation::{Class, Failure};
+use moldline_foundation::{Class, Failure, Outside, short};
 use moldline_mesh::MeshError;
 use thiserror::Error;
 
@@ -21,7 +21,7 @@ pub enum PanelError {
         known: Vec<String>,
     },
     /// A number is out of its range, NaN or infinite.
-    #[error("{field} = {value} is outside {low}..={high}")]
+    #[error("{field} = {} {}", short(*value), Outside { low: *low, high: *high })]
     OutOfRange {
         /// Path of the field.
         field: String,
@@ -44,7 +44,7 @@ pub enum PanelError {
     },
     /// The surface has a hole.
     #[error(
-        "{count} edges have one cell only, the first is {edge:?} of cells[{cell}]; the panel method needs closed bodies \
+        "{count} edges have one cell only, the first is edge {edge:?} of cells[{cell}]; the panel method needs closed bodies \
          (or halves that end on the plane y = 0)"
     )]
     Open {
@@ -54,6 +54,23 @@ pub enum PanelError {
         edge: [u32; 2],
         /// Its cell.
         cell: u32,
+    },
+    /// Cracks between double vertices.
+    #[error(
+        "{count} open edges coincide pairwise, since their vertices are double (up to {distance:.1e} m apart), the first is edge {edge:?} at \
+         {position:?} m; set `merge_tolerance` to a little more, such as {tolerance:e} m"
+    )]
+    Crack {
+        /// How many edges.
+        count: usize,
+        /// Vertices of the first.
+        edge: [u32; 2],
+        /// Where it is, m.
+        position: [f64; 3],
+        /// Largest distance between double vertices, m.
+        distance: f64,
+        /// A tolerance that merges them, m.
+        tolerance: f64,
     },
     /// Three cells or more at an edge.
     #[error("edge {edge:?} has {} cells: {cells:?}; a surface has two", cells.len())]
@@ -229,6 +246,7 @@ impl Failure for PanelError {
                 Some(cell) => format!("cells[{cell}]"),
                 None => "cells".to_owned(),
             },
+            Self::Crack { edge, .. } => format!("vertices[{}]", edge[0]),
             Self::NotAnEdge { index, .. } => format!("options.trailing_edges[{index}]"),
             Self::NoTrailingEdge { .. }
             | Self::BranchedTrailingEdge { .. }

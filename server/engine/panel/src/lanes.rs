@@ -5,10 +5,10 @@
 
 use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, LN_2, PI};
 
-/// Collocation points that are handled at once.
-pub(crate) const LANES: usize = 16;
+/// Points that are handled at once.
+pub(crate) const LANES: usize = 8;
 
-/// One number for each collocation point of a tile.
+/// One number for each of them.
 pub(crate) type Lane = [f64; LANES];
 
 /// `atan(sqrt w) / sqrt w` for `w <= tan^2(pi/8)`: interpolation at Chebyshev nodes, relative error 7e-17.
@@ -80,20 +80,6 @@ pub(crate) fn log_ratio(s: f64, l: f64) -> f64 {
     let denominator = s * (power + 1.0) + l * (power - 1.0);
     let t = numerator / denominator;
     exponent * LN_2 + 2.0 * t * polynomial(&AREA_TANGENT, t * t)
-}
-
-/// Sum over the lanes in one fixed order.
-#[inline(always)]
-pub(crate) fn total(lane: &Lane) -> f64 {
-    let mut eight = [0.0; LANES / 2];
-    for i in 0..LANES / 2 {
-        eight[i] = lane[i] + lane[i + LANES / 2];
-    }
-    let mut four = [0.0; LANES / 4];
-    for i in 0..LANES / 4 {
-        four[i] = eight[i] + eight[i + LANES / 4];
-    }
-    (four[0] + four[2]) + (four[1] + four[3])
 }
 
 #[cfg(test)]

@@ -1,19 +1,19 @@
-//! A source-doublet panel method for closed bodies and wings in subsonic flow, with exact derivatives.
+//! A panel method for closed bodies and wings in subsonic flow on triangles and quadrilaterals of any shape, with exact derivatives.
 //!
 //! [`PanelSetup::new`] finds once all that does not change with the positions of the vertices: the half that is solved,
-//! trailing edges, wakes and stencils. [`PanelSetup::solve`] computes the flow for unit winds along the axes; [`Solution::analyse`] combines
+//! trailing edges, wakes and unknowns. [`PanelSetup::solve`] computes the flow for unit winds along the axes; [`Solution::analyse`] combines
 //! them at any angle of attack, and [`Solution::linearise`] gives products with the derivative.
 //!
-//! The unknown is the perturbation potential mu on the outside, one number a cell, from the condition that the potential vanishes inside (Morino and
-//! Kuo, AIAA J. 12, 1974):
+//! The unknown is the potential mu at the vertices, linear on triangles. The surface is a sheet of vortices `n x grad mu`, inside of which the
+//! flow is at rest, and no flow passes through it in the mean with every test function w (Galerkin's method, in `influence`):
 //!
 //! ```text
-//! A mu = S sigma,   sigma = -V.n,   Gamma = mu_upper - mu_lower at trailing edges,   Cp = 1 - u.u at Mach 0
+//! integral w n.(V + curl A) dS = 0,   A = 1/(4 pi) integral n x grad mu / r dS,   Gamma = mu_upper - mu_lower on wakes,   Cp = 1 - |grad mu|^2 at Mach 0
 //! ```
 //!
 //! Start reading at `state`: the chain of all steps, its derivative and the transpose. In the order of the data the steps are `surface`
-//! (Goethert's rule, geometry of the panels), `gradient`, `kutta`, `influence`, `linear_system`, `pressure`, `trefftz`, `wake_force`; then, at one
-//! angle of attack, `wind`, `distributions` and `coefficients`. `panels`, `wake` and the stencils of `gradient` are found once.
+//! (Goethert's rule, geometry of the triangles), `influence`, `linear_system`, `recovery` and `pressure`, `trefftz`, `wake_force`; then, at one
+//! angle of attack, `wind`, `distributions` and `coefficients`. `panels`, `wake`, `nodes` and `elements` are found once.
 //!
 //! Axes: x aft, y starboard, z up; lengths in m, angles in rad. Parallel loops run on rayon's current pool. Results are the same to the
 //! last bit whatever its size.
@@ -68,19 +68,20 @@ mod bounds;
 mod clusters;
 mod coefficients;
 mod distributions;
+mod elements;
 mod error;
 mod flow;
-mod gradient;
 mod influence;
-mod kutta;
 mod lanes;
 mod linear_system;
 mod linearisation;
+mod nodes;
 mod options;
 mod panel_setup;
 mod panels;
 mod pressure;
 mod progress;
+mod recovery;
 mod solution;
 mod stage;
 mod state;

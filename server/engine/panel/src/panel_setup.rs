@@ -5,7 +5,8 @@ use moldline_mesh::SurfaceMesh;
 use crate::{
     Options, PanelError, Solver,
     bounds::within,
-    gradient::Stencils,
+    influence::Layout,
+    nodes::Nodes,
     panels::Panels,
     trefftz::Trace,
     wake::{Beside, Wakes},
@@ -25,7 +26,7 @@ pub(crate) struct Component {
 pub struct PanelSetup {
     pub(crate) panels: Panels,
     pub(crate) wakes: Wakes,
-    pub(crate) stencils: Stencils,
+    pub(crate) layout: Layout,
     pub(crate) trace: Trace,
     pub(crate) components: Vec<Component>,
     pub(crate) options: Options,
@@ -58,21 +59,23 @@ impl PanelSetup {
     pub fn new(mesh: &SurfaceMesh, options: Options) -> Result<Self, PanelError> {
         within("options.tolerance", options.tolerance, 1e-14, 1e-4)?;
         let panels = Panels::new(mesh, options.symmetry)?;
-        let needed = memory(panels.len(), panels.vertex_of.len(), options.solver);
+        // Trailing edges add an unknown for each of their vertices.
+        let needed = memory(panels.vertex_of.len(), panels.len(), options.solver);
         if needed > options.memory_limit {
             return Err(PanelError::Memory {
-                unknowns: panels.len(),
+                unknowns: panels.vertex_of.len(),
                 needed,
                 limit: options.memory_limit,
                 advice: "send a coarser mesh, one half of a symmetric one, or raise the limit",
             });
         }
         let wakes = Wakes::new(mesh, &panels, &options.trailing_edges)?;
-        let stencils = Stencils::new(&panels, &wakes);
+        let layout =
+            Layout::new(&panels, &wakes, Nodes::new(&panels, &wakes)?, &panels.gather(&mesh.vertices));
         let trace = Trace::new(&panels, &wakes);
         let components = components(mesh, &panels, &options)?;
         let vertex_cells = moldline_mesh::Topology::new(mesh).vertex_cells;
-        let setup = Self { panels, wakes, stencils, trace, components, options, vertex_cells };
+        let setup = Self { panels, wakes, layout, trace, components, options, vertex_cells };
         Ok(setup)
     }
 
@@ -84,12 +87,12 @@ impl PanelSetup {
             ends.filter(|(_, beside)| matches!(beside, Beside::Body(_))).map(|(point, _)| vertex(point))
         });
         SetupSummary {
-            unknowns: self.panels.len(),
+            unknowns: self.layout.nodes.rows(),
             symmetric: self.panels.symmetric,
             trailing_edges: self.wakes.strips.iter().map(|s| [vertex(s.a), vertex(s.b)]).collect(),
             roots: roots.collect(),
-            solver: self.options.solver.resolve(self.panels.len()),
-            memory: memory(self.panels.len(), self.panels.vertex_of.len(), self.options.solver),
+            solver: self.options.solver.resolve(self.layout.nodes.rows()),
+            memory: memory(self.layout.nodes.rows(), self.panels.len(), self.options.solver),
         }
     }
 
@@ -99,9 +102,9 @@ impl PanelSetup {
     }
 }
 
-/// Bytes that a solution needs at its peak: matrix and factors, and what six adjoints gather from the pairs.
-fn memory(unknowns: usize, points: usize, solver: Solver) -> u64 {
-    solver.bytes(unknowns) + 8 * (unknowns as u64 * 600 + points as u64 * 200)
+/// Bytes that a solution needs at its peak: matrix and factors, blocks of the assembly, and what adjoints gather from the pairs.
+fn memory(unknowns: usize, panels: usize, solver: Solver) -> u64 {
+    solver.bytes(unknowns) + 8 * (unknowns as u64 * 1000 + panels as u64 * 400)
 }
 
 /// An estimate of the bytes that a solution of so many unknowns needs at its peak.

@@ -1,11 +1,14 @@
 //! The panels that are solved: their points, edges and neighbours, as far as they do not depend on positions.
 
-use moldline_mesh::{Cell, Limits, Plane, SurfaceMesh, Topology, Vector3, topology::enclosed_volume};
+use moldline_mesh::{
+    Cell, Limits, Plane, SurfaceMesh, Topology, Vector3,
+    cracks::{self, Crack},
+    topology::enclosed_volume,
+};
 
 use crate::{
     PanelError, Symmetry,
-    clusters::Patch,
-    symmetry::{Partners, SYMMETRY_TOLERANCE, mirrored},
+    symmetry::{Partners, mirrored, symmetry_tolerance},
 };
 
 /// An edge of solved panels.
@@ -27,9 +30,6 @@ pub(crate) struct Panels {
     /// Points of each panel; a triangle's last one twice.
     pub corners: Vec<[u32; 4]>,
     pub edges: Vec<Edge>,
-    /// Edges of each panel.
-    pub panel_edges: Vec<Vec<u32>>,
-    pub patches: Vec<Patch>,
     /// Edges at each point.
     pub point_edges: Vec<Vec<u32>>,
     /// Connected piece of each point.
@@ -64,7 +64,7 @@ impl Panels {
             return Err(PanelError::Inconsistent { edge: topology.edges[edge as usize], cells });
         }
         let [low, high] = mesh.bounds();
-        let tolerance = SYMMETRY_TOLERANCE * (Vector3::from(high) - Vector3::from(low)).norm();
+        let tolerance = symmetry_tolerance(&mesh.vertices);
         let plane = Plane::y_zero();
         let half = match symmetry {
             Symmetry::Half => true,
@@ -73,6 +73,14 @@ impl Panels {
         };
         let open = topology.open_edges(&mesh.vertices, half.then_some((&plane, tolerance)));
         if let Some(&edge) = open.first() {
+            let edges: Vec<[u32; 2]> = open.iter().map(|&edge| topology.edges[edge as usize]).collect();
+            let size = (Vector3::from(high) - Vector3::from(low)).norm();
+            if let Some(crack) = cracks::find(&mesh.vertices, &edges, size) {
+                let Crack { edges, distance, first } = crack;
+                let position = mesh.vertices[first[0] as usize];
+                let tolerance = crack.tolerance(size);
+                return Err(PanelError::Crack { count: edges, edge: first, position, distance, tolerance });
+            }
             let cell = topology.edge_cells.row(edge as usize)[0];
             return Err(PanelError::Open { count: open.len(), edge: topology.edges[edge as usize], cell });
         }
@@ -108,33 +116,17 @@ impl Panels {
             .collect();
         let topology = Topology::of_cells(vertex_of.len(), &cells);
         let edges = oriented_edges(&topology, &cells);
-        let mut panel_edges = vec![Vec::new(); cells.len()];
         let mut point_edges = vec![Vec::new(); vertex_of.len()];
         for (index, edge) in (0..).zip(&edges) {
-            [Some(edge.left), edge.right].iter().flatten().for_each(|&p| panel_edges[p as usize].push(index));
             [edge.a, edge.b].iter().for_each(|&point| point_edges[point as usize].push(index));
         }
         let on_plane =
             vertex_of.iter().map(|&v| symmetric && mesh.vertices[v as usize][1].abs() <= tolerance).collect();
         let partner =
             mirror.map(|partners| vertex_of.iter().map(|&v| partners.vertices[v as usize]).collect());
-        let patches = {
-            let at = |point: u32| Vector3::from(mesh.vertices[vertex_of[point as usize] as usize]);
-            let centres: Vec<Vector3> =
-                corners.iter().map(|c| c.map(at).iter().sum::<Vector3>() / 4.0).collect();
-            let own: Vec<Vec<u32>> = (0..)
-                .zip(&panel_edges)
-                .map(|(panel, of_panel): (u32, &Vec<u32>)| {
-                    of_panel.iter().copied().filter(|e| edges[*e as usize].left == panel).collect()
-                })
-                .collect();
-            Patch::cut(&centres, &corners, &own, |e| [edges[e as usize].a, edges[e as usize].b])
-        };
         Self {
             corners,
             edges,
-            panel_edges,
-            patches,
             point_edges,
             piece: topology.vertex_piece,
             vertex_of,
@@ -199,16 +191,10 @@ impl Panels {
         if edge.a == point { edge.b } else { edge.a }
     }
 
-    /// The other panel at an edge.
-    pub fn across(&self, panel: u32, edge: u32) -> Option<u32> {
-        let edge = &self.edges[edge as usize];
-        if edge.left == panel { edge.right } else { Some(edge.left) }
-    }
-
     /// Checks that both halves are still each other's image.
     pub fn check_symmetry(&self, vertices: &[[f64; 3]]) -> Result<(), PanelError> {
-        let extent = vertices.iter().flatten().fold(0.0_f64, |m, x| m.max(x.abs()));
-        let tolerance = SYMMETRY_TOLERANCE * extent;
+        // Those that were found at this tolerance stay within it, whichever way the distance is rounded.
+        let tolerance = 1.001 * symmetry_tolerance(vertices);
         for (point, &vertex) in self.vertex_of.iter().enumerate() {
             let x = Vector3::from(vertices[vertex as usize]);
             if self.on_plane[point] && x.y.abs() > tolerance {

@@ -1,28 +1,26 @@
 //! Pressure coefficients and forces as forms in the onset flow.
 //!
-//! In stretched coordinates the velocity is tangential: `u_k = (I - n n^T) o_k + grad phi_k` for the onset flow `o_k` of unit velocity
-//! along axis k. Bernoulli's equation there, transformed back by Goethert's rule:
+//! The flow inside is at rest, so that the velocity outside is the surface gradient of the potential: `u_k` for the onset flow `o_k` of unit velocity
+//! along axis k, in stretched coordinates ([`crate::recovery`]). Bernoulli's equation there, transformed back by Goethert's rule:
 //!
 //! ```text
-//! Cp = sum_kl w_k w_l C_kl,   C_kl = o_k . o_l - u_k . u_l - (1/6) sum_i r_ik r_il
+//! Cp = sum_kl w_k w_l C_kl,   C_kl = o_k . o_l - u_k . u_l
 //! ```
 //!
-//! Cp is the mean over a panel, on which the velocity changes linearly: by r_i from the centre to edge i, the residual of the gradient's
-//! fit ([`crate::gradient`]). Two opposite edges with +r and -r make a mean square of r^2 / 3.
-//!
 //! At Mach zero it is Bernoulli's equation; else it is `-2 u - (B^2 u^2 + v^2 + w^2)` of the perturbations in the wind's axes.
+//!
+//! With the circulation `c = area n x u` of an element, its `area u = c x n`.
 
 use moldline_mesh::Vector3;
 
 use crate::{
     coefficients::Totals,
-    gradient::Slope,
+    elements::{circulation, circulation_by_corners, circulation_by_values},
+    influence::Layout,
     panels::Panels,
-    surface::{Surface, SurfaceChange},
+    recovery::Recovery,
+    surface::{Surface, SurfaceChange, area, area_by_corners},
 };
-
-/// Weight in the mean square of the squared change of the velocity towards an edge.
-const SPREAD: f64 = 1.0 / 6.0;
 
 /// The area vector in real coordinates, and its transpose.
 fn real_area(beta: f64, area: &Vector3) -> Vector3 {
@@ -32,108 +30,176 @@ fn real_area(beta: f64, area: &Vector3) -> Vector3 {
 /// Forms of pressure on one panel.
 pub(crate) type Form<const B: usize> = [[f64; B]; B];
 
-/// Surface velocities and pressure forms of all panels.
+/// Velocities and pressure forms of all panels.
 #[derive(Clone, Debug)]
 pub(crate) struct Pressure<const B: usize> {
-    /// Velocities at the centres, and how much they change towards the edges.
-    pub velocities: [Vec<Slope>; B],
+    velocities: [Vec<Vector3>; B],
     pub forms: Vec<Form<B>>,
 }
 
-/// Mean of the product of two velocities over a panel.
-fn mean_product(u: &Slope, v: &Slope) -> f64 {
-    u.gradient.dot(&v.gradient) + SPREAD * (0..4).map(|i| u.residuals[i] * v.residuals[i]).sum::<f64>()
+/// Surface, set-up, and potentials at the nodes.
+pub(crate) struct Potentials<'a, const B: usize> {
+    pub panels: &'a Panels,
+    pub layout: &'a Layout,
+    pub surface: &'a Surface,
+    pub nodes: [&'a [f64]; B],
 }
 
-impl<const B: usize> Pressure<B> {
-    /// `gradients[k]` are those of the potentials.
-    pub fn new(panels: &Panels, surface: &Surface, gradients: [Vec<Slope>; B]) -> Self {
-        let onsets: [Vector3; B] = std::array::from_fn(|k| surface.onset(panels.axes()[k]));
-        let mut velocities = gradients;
-        for (velocities, onset) in velocities.iter_mut().zip(&onsets) {
-            for (u, n) in velocities.iter_mut().zip(&surface.normals) {
-                u.gradient += onset - n * n.dot(onset);
-            }
-        }
+impl<const B: usize> Potentials<'_, B> {
+    fn onsets(&self) -> [Vector3; B] {
+        std::array::from_fn(|k| self.surface.onset(self.panels.axes()[k]))
+    }
+
+    /// Mean gradients of the potential on all panels: `sum over elements of c x n`, over the area.
+    fn gradients(&self, nodes: &[f64]) -> Vec<Vector3> {
+        let of_panel = |panel: usize| {
+            let of_element = |e: usize| {
+                let corners = &self.surface.corners[e];
+                circulation(corners, &self.layout.element_values(e, nodes)).cross(&area(corners).normalize())
+            };
+            self.layout.elements.of(panel).map(of_element).sum::<Vector3>() / self.surface.sizes[panel]
+        };
+        (0..self.panels.len()).map(of_panel).collect()
+    }
+
+    fn recovery(&self) -> Recovery<'_> {
+        Recovery::new(self.panels, &self.layout.smooth, &self.surface.sizes)
+    }
+
+    /// Velocities and forms.
+    pub fn eval(&self) -> Pressure<B> {
+        let onsets = self.onsets();
+        let recovery = self.recovery();
+        let velocities: [Vec<Vector3>; B] =
+            std::array::from_fn(|k| recovery.eval(&self.gradients(self.nodes[k])));
         let form = |panel: usize| {
             std::array::from_fn(|k| {
                 std::array::from_fn(|l| {
-                    onsets[k].dot(&onsets[l]) - mean_product(&velocities[k][panel], &velocities[l][panel])
+                    onsets[k].dot(&onsets[l]) - velocities[k][panel].dot(&velocities[l][panel])
                 })
             })
         };
-        let forms = (0..panels.len()).map(form).collect();
-        Self { velocities, forms }
+        let forms = (0..self.panels.len()).map(form).collect();
+        Pressure { velocities, forms }
     }
 
-    /// The changes of the forms with changes of gradients and surface.
+    /// The changes of the forms with those of surface and nodes.
     pub fn jvp(
         &self,
-        panels: &Panels,
-        surface: &Surface,
-        gradients: &[Vec<Slope>; B],
+        pressure: &Pressure<B>,
         change: &SurfaceChange,
+        d_nodes: &[Vec<f64>; B],
     ) -> Vec<Form<B>> {
-        let onsets: [Vector3; B] = std::array::from_fn(|k| surface.onset(panels.axes()[k]));
+        let (surface, layout) = (self.surface, self.layout);
+        let onsets = self.onsets();
         let d_onsets: [Vector3; B] =
-            std::array::from_fn(|k| surface.onset_by_beta(panels.axes()[k]) * change.beta);
-        (0..panels.len())
-            .map(|panel| {
-                let (n, dn) = (&surface.normals[panel], &change.normals[panel]);
-                let du: [Slope; B] = std::array::from_fn(|k| {
-                    let (o, d_o) = (&onsets[k], &d_onsets[k]);
-                    let mut du = gradients[k][panel];
-                    du.gradient += d_o - n * (n.dot(d_o) + dn.dot(o)) - dn * n.dot(o);
-                    du
-                });
-                std::array::from_fn(|k| {
-                    std::array::from_fn(|l| {
-                        onsets[k].dot(&d_onsets[l]) + d_onsets[k].dot(&onsets[l])
-                            - mean_product(&self.velocities[k][panel], &du[l])
-                            - mean_product(&du[k], &self.velocities[l][panel])
-                    })
-                })
-            })
-            .collect()
-    }
-
-    /// The transpose of [`jvp`](Self::jvp): the seeds of the gradients; adds to those of the surface.
-    pub fn vjp(
-        &self,
-        panels: &Panels,
-        surface: &Surface,
-        seeds: &[Form<B>],
-        surface_seeds: &mut SurfaceChange,
-    ) -> [Vec<Slope>; B] {
-        let onsets: [Vector3; B] = std::array::from_fn(|k| surface.onset(panels.axes()[k]));
-        let mut out: [Vec<Slope>; B] = std::array::from_fn(|_| vec![Slope::default(); panels.len()]);
-        for (panel, seed) in seeds.iter().enumerate() {
-            let n = &surface.normals[panel];
-            for k in 0..B {
-                let (mut of_u, mut of_onset) = (Vector3::zeros(), Vector3::zeros());
-                for l in 0..B {
-                    let both = seed[k][l] + seed[l][k];
-                    let velocity = &self.velocities[l][panel];
-                    of_u -= both * velocity.gradient;
-                    for (out, r) in out[k][panel].residuals.iter_mut().zip(&velocity.residuals) {
-                        *out -= SPREAD * both * r;
-                    }
-                    of_onset += both * onsets[l];
+            std::array::from_fn(|k| surface.onset_by_beta(self.panels.axes()[k]) * change.beta);
+        let recovery = self.recovery();
+        let mut d_sizes = vec![0.0; self.panels.len()];
+        let mut sums: [Vec<Vector3>; B] = std::array::from_fn(|_| vec![Vector3::zeros(); self.panels.len()]);
+        for panel in 0..self.panels.len() {
+            for e in layout.elements.of(panel) {
+                let corners = &surface.corners[e];
+                let d_corners = change.corners(self.panels, &layout.elements, e);
+                let vector = area(corners);
+                let (n, d_area) = (vector.normalize(), area_jvp(corners, &d_corners));
+                let dn = (d_area - n * n.dot(&d_area)) / vector.norm();
+                d_sizes[panel] += n.dot(&d_area);
+                for k in 0..B {
+                    let values = layout.element_values(e, self.nodes[k]);
+                    let dc = circulation(&d_corners, &values)
+                        + circulation(corners, &layout.element_values(e, &d_nodes[k]));
+                    sums[k][panel] += dc.cross(&n) + circulation(corners, &values).cross(&dn);
                 }
-                out[k][panel].gradient = of_u;
-                of_onset += of_u - n * n.dot(&of_u);
-                surface_seeds.normals[panel] -= onsets[k] * n.dot(&of_u) + of_u * n.dot(&onsets[k]);
-                surface_seeds.beta += surface.onset_by_beta(panels.axes()[k]).dot(&of_onset);
             }
         }
-        out
+        let d_velocities: [Vec<Vector3>; B] = std::array::from_fn(|k| {
+            let gradients = self.gradients(self.nodes[k]);
+            let d_gradients: Vec<Vector3> = (0..self.panels.len())
+                .map(|p| (sums[k][p] - d_sizes[p] * gradients[p]) / surface.sizes[p])
+                .collect();
+            recovery.jvp(&gradients, &d_gradients, &d_sizes)
+        });
+        let form = |panel: usize| {
+            std::array::from_fn(|k| {
+                std::array::from_fn(|l| {
+                    onsets[k].dot(&d_onsets[l]) + d_onsets[k].dot(&onsets[l])
+                        - pressure.velocities[k][panel].dot(&d_velocities[l][panel])
+                        - d_velocities[k][panel].dot(&pressure.velocities[l][panel])
+                })
+            })
+        };
+        (0..self.panels.len()).map(form).collect()
     }
 
+    /// The transpose of [`jvp`](Self::jvp): adds to the seeds of surface and nodes.
+    pub fn vjp(
+        &self,
+        pressure: &Pressure<B>,
+        seeds: &[Form<B>],
+        change: &mut SurfaceChange,
+        node_seeds: &mut [Vec<f64>; B],
+    ) {
+        let (surface, layout) = (self.surface, self.layout);
+        let onsets = self.onsets();
+        let recovery = self.recovery();
+        let mut of_sizes = vec![0.0; self.panels.len()];
+        let mut of_sums: [Vec<Vector3>; B] = std::array::from_fn(|_| Vec::new());
+        for k in 0..B {
+            let both = |panel: usize, l: usize| seeds[panel][k][l] + seeds[panel][l][k];
+            let velocity = |panel: usize| {
+                -(0..B).map(|l| both(panel, l) * pressure.velocities[l][panel]).sum::<Vector3>()
+            };
+            let of_velocities: Vec<Vector3> = (0..self.panels.len()).map(velocity).collect();
+            let onset: Vector3 =
+                (0..self.panels.len()).map(|p| (0..B).map(|l| both(p, l) * onsets[l]).sum::<Vector3>()).sum();
+            change.beta += surface.onset_by_beta(self.panels.axes()[k]).dot(&onset);
+            let gradients = self.gradients(self.nodes[k]);
+            of_sums[k] = recovery.vjp(&gradients, &of_velocities, &mut of_sizes);
+            for (panel, of) in of_sums[k].iter_mut().enumerate() {
+                *of /= surface.sizes[panel];
+                of_sizes[panel] -= of.dot(&gradients[panel]);
+            }
+        }
+        for panel in 0..self.panels.len() {
+            for e in layout.elements.of(panel) {
+                let corners = &surface.corners[e];
+                let vector = area(corners);
+                let n = vector.normalize();
+                let nodes = layout.elements.list[e].of_corners(&layout.nodes.of_corner[panel]);
+                let mut corner_seeds = [Vector3::zeros(); 3];
+                let mut of_normal = Vector3::zeros();
+                for k in 0..B {
+                    let values = layout.element_values(e, self.nodes[k]);
+                    let seed = &of_sums[k][panel];
+                    // seed . (c x n) = c . (n x seed) = n . (seed x c)
+                    let of_c = n.cross(seed);
+                    of_normal += seed.cross(&circulation(corners, &values));
+                    let by_corners = circulation_by_corners(&of_c, &values);
+                    (0..3).for_each(|i| corner_seeds[i] += by_corners[i]);
+                    for (node, by) in nodes.iter().zip(circulation_by_values(&of_c, corners)) {
+                        node_seeds[k][*node as usize] += by;
+                    }
+                }
+                let of_area = (of_normal - n * n.dot(&of_normal)) / vector.norm() + of_sizes[panel] * n;
+                let by_area = area_by_corners(&of_area, corners);
+                (0..3).for_each(|i| corner_seeds[i] += by_area[i]);
+                change.add_corners(self.panels, &layout.elements, e, &corner_seeds);
+            }
+        }
+    }
+}
+
+/// The change of a triangle's area vector.
+fn area_jvp(corners: &[Vector3; 3], d: &[Vector3; 3]) -> Vector3 {
+    0.5 * ((d[1] - d[0]).cross(&(corners[2] - corners[0])) + (corners[1] - corners[0]).cross(&(d[2] - d[0])))
+}
+
+impl<const B: usize> Pressure<B> {
     /// Adds force and pitching moment about the origin.
     pub fn totals(&self, panels: &Panels, surface: &Surface, totals: &mut Totals<B>) {
-        let zero = SurfaceChange::zeros(surface);
         // Linear in forms and in areas: the same sum serves values and changes.
-        sum_loads(panels, surface, &self.forms, &zero, None, totals);
+        sum_loads(panels, surface, &self.forms, None, None, totals);
     }
 
     /// Adds the changes of force and moment.
@@ -145,7 +211,7 @@ impl<const B: usize> Pressure<B> {
         change: &SurfaceChange,
         totals: &mut Totals<B>,
     ) {
-        sum_loads(panels, surface, forms, change, Some(&self.forms), totals);
+        sum_loads(panels, surface, forms, Some(change), Some(&self.forms), totals);
     }
 
     /// The transpose of [`totals_jvp`](Self::totals_jvp): adds to the seeds of forms and surface.
@@ -180,10 +246,9 @@ impl<const B: usize> Pressure<B> {
                 }
             }
             let a = &surface.areas[panel];
-            surface_seeds.areas[panel] += real_area(beta, &of_area);
+            add_area_seed(panels, surface, panel, &real_area(beta, &of_area), surface_seeds);
             surface_seeds.beta += of_area.y * a.y + of_area.z * a.z + of_x * centre.x;
-            surface_seeds.centres[panel].x += beta * of_x;
-            surface_seeds.centres[panel].z += of_z;
+            surface_seeds.add_centre(panels, panel, &Vector3::new(beta * of_x, 0.0, of_z));
         }
     }
 }
@@ -193,7 +258,7 @@ fn sum_loads<const B: usize>(
     panels: &Panels,
     surface: &Surface,
     forms: &[Form<B>],
-    change: &SurfaceChange,
+    change: Option<&SurfaceChange>,
     steady: Option<&[Form<B>]>,
     totals: &mut Totals<B>,
 ) {
@@ -216,13 +281,39 @@ fn sum_loads<const B: usize>(
             }
         };
         add(&forms[panel], area, z * area.x - x * area.z);
-        if let Some(steady) = steady {
+        if let (Some(steady), Some(change)) = (steady, change) {
             let a = &surface.areas[panel];
-            let d_area = real_area(beta, &change.areas[panel]) + change.beta * Vector3::new(0.0, a.y, a.z);
-            let dc = &change.centres[panel];
+            let d_area = real_area(beta, &area_change(panels, surface, panel, change))
+                + change.beta * Vector3::new(0.0, a.y, a.z);
+            let dc = change.centre(panels, panel);
             let dx = beta * dc.x + change.beta * centre.x;
             let moment = dc.z * area.x + z * d_area.x - dx * area.z - x * d_area.z;
             add(&steady[panel], d_area, moment);
         }
     }
+}
+
+/// The change of a panel's area vector, `1/2 (c - a) x (d - b)`.
+fn area_change(panels: &Panels, surface: &Surface, panel: usize, change: &SurfaceChange) -> Vector3 {
+    let [a, b, c, d] = panels.corners[panel].map(|p| surface.points[p as usize]);
+    let [da, db, dc, dd] = panels.corners[panel].map(|p| change.points[p as usize]);
+    0.5 * ((dc - da).cross(&(d - b)) + (c - a).cross(&(dd - db)))
+}
+
+/// The transpose of [`area_change`].
+fn add_area_seed(
+    panels: &Panels,
+    surface: &Surface,
+    panel: usize,
+    seed: &Vector3,
+    change: &mut SurfaceChange,
+) {
+    let corners = panels.corners[panel].map(|p| p as usize);
+    let [a, b, c, d] = corners.map(|p| surface.points[p]);
+    let one = 0.5 * (d - b).cross(seed);
+    let two = 0.5 * seed.cross(&(c - a));
+    change.points[corners[2]] += one;
+    change.points[corners[0]] -= one;
+    change.points[corners[3]] += two;
+    change.points[corners[1]] -= two;
 }

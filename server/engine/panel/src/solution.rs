@@ -152,7 +152,7 @@ impl Solution {
 
     /// Memory of the solution, bytes.
     pub fn bytes(&self) -> u64 {
-        self.setup.options.solver.bytes(self.setup.panels.len())
+        self.setup.options.solver.bytes(self.setup.layout.nodes.rows())
             + 8 * 100 * self.setup.panels.len() as u64
             + 24 * self.vertices.len() as u64
     }

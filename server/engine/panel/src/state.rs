@@ -1,10 +1,10 @@
 //! The flow for unit winds along the axes over one geometry, and its derivative: the chain of the method's steps, down and up.
 //!
 //! ```text
-//! points, Mach -> surface -> A, S sigma -> mu -> circulations -> gradients -> pressure forms -> loads; Trefftz plane, wake force
+//! points, Mach -> surface -> A, b -> mu -> potentials at nodes, circulations -> pressure forms -> loads; Trefftz plane, wake force
 //! ```
 //!
-//! Everything behind depends on the doublet strengths mu, which solve `R(mu, surface) = 0`. So `d mu = -A^-1 dR` at fixed mu, and backwards a
+//! Everything behind depends on the unknowns mu, which solve `R(mu, surface) = A mu - b = 0`. So `d mu = -A^-1 dR` at fixed mu, and backwards a
 //! seed of mu gives `-A^-T mu-bar` for R, which one pass over the pairs turns into seeds of the surface ([`crate::influence`]).
 
 use moldline_mesh::Vector3;
@@ -12,11 +12,9 @@ use moldline_mesh::Vector3;
 use crate::{
     Monitor, PanelError, PanelSetup, Stage,
     coefficients::Totals,
-    gradient::{Gradients, Slope},
-    influence::{Influence, PairChange, PairSeeds, Strengths},
-    kutta::Kutta,
+    influence::{Charges, Influence},
     linear_system::System,
-    pressure::{Form, Pressure},
+    pressure::{Form, Potentials, Pressure},
     surface::{Surface, SurfaceChange},
     wake_force,
 };
@@ -25,11 +23,10 @@ use crate::{
 #[derive(Debug)]
 pub(crate) struct State<const B: usize> {
     pub surface: Surface,
-    /// The circulation of every strip as a sum over doublet strengths.
-    pub rows: Vec<Vec<(u32, f64)>>,
     pub system: System,
-    /// Doublet strengths: perturbation potentials on the outside.
-    pub mu: [Vec<f64>; B],
+    /// The unknowns and what follows from them.
+    charges: [Charges; B],
+    /// Circulations at both ends of every strip.
     pub circulations: [Vec<f64>; B],
     pub pressure: Pressure<B>,
     pub totals: Totals<B>,
@@ -52,28 +49,10 @@ pub(crate) struct StateChange<const B: usize> {
     pub totals: Totals<B>,
 }
 
-/// Seeds of one adjoint before the residual is involved.
-struct Direct<const B: usize> {
-    surface: SurfaceChange,
-    circulations: [Vec<f64>; B],
-    mu: [Vec<f64>; B],
-}
-
-/// Steps of which the chain needs the geometry, but the state does not keep it.
-struct Steps<'a, const B: usize> {
-    gradients: &'a Gradients<'a>,
-    kutta: Kutta<'a>,
-    influence: Influence<'a, B>,
-}
-
-impl<'a, const B: usize> Steps<'a, B> {
-    fn new(setup: &'a PanelSetup, surface: &'a Surface, gradients: &'a Gradients<'a>) -> Self {
-        Self {
-            gradients,
-            kutta: Kutta { surface, wakes: &setup.wakes, gradients },
-            influence: Influence::new(&setup.panels, &setup.wakes, surface),
-        }
-    }
+/// Circulations at both ends of every strip, for values of the unknowns.
+fn circulations(setup: &PanelSetup, unknowns: &[f64]) -> Vec<f64> {
+    let ends = setup.layout.nodes.ends.iter().flatten();
+    ends.map(|terms| terms.iter().map(|(u, f)| f * unknowns[*u as usize]).sum()).collect()
 }
 
 impl<const B: usize> State<B> {
@@ -84,32 +63,34 @@ impl<const B: usize> State<B> {
         mach: f64,
         monitor: &dyn Monitor<Stage>,
     ) -> Result<Self, PanelError> {
-        let panels = &setup.panels;
-        let surface = Surface::new(panels, points, mach)?;
-        let gradients = Gradients::new(panels, &surface, &setup.stencils)?;
-        let steps = Steps::<B>::new(setup, &surface, &gradients);
-        let rows = steps.kutta.rows();
-        let (matrix, right) = steps.influence.assemble(&rows, monitor)?;
-        let system = System::new(matrix, setup.options.solver, &surface.centres, monitor)?;
+        let (panels, layout) = (&setup.panels, &setup.layout);
+        let surface = Surface::new(panels, &layout.elements, points, mach)?;
+        let influence = Influence::new(panels, layout, &surface);
+        let (matrix, right) = influence.assemble::<B>(monitor)?;
+        let row_points: Vec<Vector3> =
+            layout.nodes.row_point.iter().map(|p| surface.points[*p as usize]).collect();
+        let system = System::new(matrix, setup.options.solver, &row_points, monitor)?;
         let solved = system.solve(&right, false, setup.options.tolerance, monitor)?;
-        let mu: [Vec<f64>; B] = {
-            let mut columns = solved.columns.into_iter();
-            std::array::from_fn(|_| columns.next().unwrap_or_default())
-        };
-        let circulations: [Vec<f64>; B] = std::array::from_fn(|k| {
-            rows.iter().map(|row| row.iter().map(|(p, f)| f * mu[k][*p as usize]).sum()).collect()
-        });
-        let slopes = std::array::from_fn(|k| {
-            (0..panels.len()).map(|panel| gradients.eval(panel, [&mu[k], &circulations[k]])).collect()
-        });
-        let pressure = Pressure::new(panels, &surface, slopes);
+        let charges: [Charges; B] = std::array::from_fn(|k| influence.charges(&solved.columns[k]));
+        let circulations: [Vec<f64>; B] = std::array::from_fn(|k| circulations(setup, &solved.columns[k]));
+        let nodes = charges.each_ref().map(|c| &c.nodes[..]);
+        let pressure = Potentials { panels, layout, surface: &surface, nodes }.eval();
         let mut totals = Totals::zeros();
         pressure.totals(panels, &surface, &mut totals);
         totals.lift = std::array::from_fn(|k| setup.trace.lift(&surface.points, &circulations[k]));
         totals.drag = setup.trace.drag(&surface.points, &circulations);
-        let wake_lift = wake_force::lift(panels, &surface, &setup.wakes, &mu, &circulations);
+        let wake_lift = wake_force::lift(panels, layout, &surface, &setup.wakes, &charges, &circulations);
         let (residual, rounds) = (solved.residual, solved.rounds);
-        Ok(Self { surface, rows, system, mu, circulations, pressure, totals, wake_lift, residual, rounds })
+        Ok(Self { surface, system, charges, circulations, pressure, totals, wake_lift, residual, rounds })
+    }
+
+    fn potentials<'a>(&'a self, setup: &'a PanelSetup) -> Potentials<'a, B> {
+        Potentials {
+            panels: &setup.panels,
+            layout: &setup.layout,
+            surface: &self.surface,
+            nodes: self.charges.each_ref().map(|c| &c.nodes[..]),
+        }
     }
 
     /// The changes of the flow in several directions.
@@ -119,47 +100,20 @@ impl<const B: usize> State<B> {
         directions: &[Motion],
         monitor: &dyn Monitor<Stage>,
     ) -> Result<Vec<StateChange<B>>, PanelError> {
-        let (panels, surface) = (&setup.panels, &self.surface);
-        let gradients = Gradients::new(panels, surface, &setup.stencils)?;
-        let steps = Steps::<B>::new(setup, surface, &gradients);
         let surfaces: Vec<SurfaceChange> =
-            directions.iter().map(|motion| surface.jvp(panels, &motion.points, motion.mach)).collect();
-        let fixed = vec![0.0; panels.len()];
-        let changes: Vec<PairChange<'_, B>> = surfaces
-            .iter()
-            .map(|change| PairChange {
-                points: &change.points,
-                centres: &change.centres,
-                sources: std::array::from_fn(|k| surface.sources_jvp(panels.axes()[k], change)),
-                strips: std::array::from_fn(|k| steps.kutta.jvp(&self.mu[k], change, &fixed)),
-            })
-            .collect();
-        let residuals = steps.influence.jvp(&self.strengths(), &changes, monitor)?;
+            directions.iter().map(|motion| self.surface.jvp(&motion.points, motion.mach)).collect();
+        let influence = Influence::new(&setup.panels, &setup.layout, &self.surface);
+        let residuals = influence.jvp(&self.charges, &surfaces, monitor)?;
         let d_mu = self.solve_for_minus(setup, residuals, false, monitor)?;
-        Ok(surfaces
-            .iter()
-            .zip(d_mu)
-            .map(|(change, d_mu)| self.change(setup, &steps, change, &d_mu))
-            .collect())
+        Ok(surfaces.iter().zip(d_mu).map(|(change, d_mu)| self.change(setup, change, &d_mu)).collect())
     }
 
-    /// From changes of the surface and the doublets to those of the flow.
-    fn change(
-        &self,
-        setup: &PanelSetup,
-        steps: &Steps<'_, B>,
-        change: &SurfaceChange,
-        d_mu: &[Vec<f64>; B],
-    ) -> StateChange<B> {
+    /// From changes of the surface and the unknowns to those of the flow.
+    fn change(&self, setup: &PanelSetup, change: &SurfaceChange, d_mu: &[Vec<f64>; B]) -> StateChange<B> {
         let (panels, surface) = (&setup.panels, &self.surface);
-        let d_circulations: [Vec<f64>; B] =
-            std::array::from_fn(|k| steps.kutta.jvp(&self.mu[k], change, &d_mu[k]));
-        let slopes: [Vec<Slope>; B] = std::array::from_fn(|k| {
-            let values = [&self.mu[k][..], &self.circulations[k]];
-            let changes = [&d_mu[k][..], &d_circulations[k]];
-            (0..panels.len()).map(|p| steps.gradients.jvp(p, values, change, changes)).collect()
-        });
-        let forms = self.pressure.jvp(panels, surface, &slopes, change);
+        let d_circulations: [Vec<f64>; B] = std::array::from_fn(|k| circulations(setup, &d_mu[k]));
+        let d_nodes: [Vec<f64>; B] = std::array::from_fn(|k| setup.layout.node_values(&d_mu[k]));
+        let forms = self.potentials(setup).jvp(&self.pressure, change, &d_nodes);
         let mut totals = Totals::zeros();
         self.pressure.totals_jvp(panels, surface, &forms, change, &mut totals);
         totals.lift = std::array::from_fn(|k| {
@@ -178,70 +132,47 @@ impl<const B: usize> State<B> {
         seeds: Vec<StateChange<B>>,
         monitor: &dyn Monitor<Stage>,
     ) -> Result<Vec<Motion>, PanelError> {
-        let gradients = Gradients::new(&setup.panels, &self.surface, &setup.stencils)?;
-        let steps = Steps::<B>::new(setup, &self.surface, &gradients);
-        let mut direct: Vec<Direct<B>> =
-            seeds.into_iter().map(|seed| self.direct(setup, &steps, seed)).collect();
-        let of_mu =
-            direct.iter_mut().map(|seeds| std::mem::replace(&mut seeds.mu, [const { Vec::new() }; B]));
-        let psi = self.solve_for_minus(setup, of_mu.collect(), true, monitor)?;
-        let pairs = steps.influence.vjp(&self.strengths(), &psi, monitor)?;
-        Ok(direct
-            .into_iter()
-            .zip(pairs)
-            .map(|(seeds, pairs)| self.motion(setup, &steps, seeds, pairs))
-            .collect())
+        let (surfaces, of_mu): (Vec<SurfaceChange>, Vec<[Vec<f64>; B]>) =
+            seeds.into_iter().map(|seed| self.direct(setup, seed)).unzip();
+        let psi = self.solve_for_minus(setup, of_mu, true, monitor)?;
+        let influence = Influence::new(&setup.panels, &setup.layout, &self.surface);
+        let pairs = influence.vjp(&self.charges, &psi, monitor)?;
+        let motion = |(mut direct, pairs): (SurfaceChange, SurfaceChange)| {
+            direct.beta += pairs.beta;
+            direct.points.iter_mut().zip(&pairs.points).for_each(|(a, b)| *a += b);
+            let (points, mach) = self.surface.vjp(direct);
+            Motion { points, mach }
+        };
+        Ok(surfaces.into_iter().zip(pairs).map(motion).collect())
     }
 
-    /// From seeds of the flow to those of surface, circulations and doublets, at fixed residual.
-    fn direct(&self, setup: &PanelSetup, steps: &Steps<'_, B>, seed: StateChange<B>) -> Direct<B> {
+    /// From seeds of the flow to those of the surface and the unknowns, at fixed residual.
+    fn direct(&self, setup: &PanelSetup, seed: StateChange<B>) -> (SurfaceChange, [Vec<f64>; B]) {
         let (panels, surface, trace) = (&setup.panels, &self.surface, &setup.trace);
+        let nodes = &setup.layout.nodes;
         let StateChange { mut circulations, mut forms, totals } = seed;
         let mut change = SurfaceChange::zeros(surface);
-        let mut mu: [Vec<f64>; B] = std::array::from_fn(|_| vec![0.0; panels.len()]);
+        let mut of_nodes: [Vec<f64>; B] = std::array::from_fn(|_| vec![0.0; nodes.row.len()]);
         self.pressure.totals_vjp(panels, surface, &totals, &mut forms, &mut change);
-        let slopes = self.pressure.vjp(panels, surface, &forms, &mut change);
+        self.potentials(setup).vjp(&self.pressure, &forms, &mut change, &mut of_nodes);
         let points = &mut change.points;
         trace.drag_vjp(&surface.points, &self.circulations, &totals.drag, points, &mut circulations);
+        let mut of_mu: [Vec<f64>; B] = std::array::from_fn(|_| vec![0.0; nodes.rows()]);
         for k in 0..B {
-            let (of_strips, of_mu) = (&mut circulations[k], &mut mu[k]);
-            let values = [&self.mu[k][..], &self.circulations[k]];
-            trace.lift_vjp(&surface.points, values[1], totals.lift[k], &mut change.points, of_strips);
-            for (panel, slope) in slopes[k].iter().enumerate() {
-                steps.gradients.vjp(panel, values, slope, &mut change, [of_mu, of_strips]);
-            }
-            for (row, seed) in self.rows.iter().zip(of_strips.iter()) {
-                row.iter().for_each(|(panel, factor)| of_mu[*panel as usize] += seed * factor);
+            let of_ends = &mut circulations[k];
+            trace.lift_vjp(
+                &surface.points,
+                &self.circulations[k],
+                totals.lift[k],
+                &mut change.points,
+                of_ends,
+            );
+            setup.layout.add_node_values(&of_nodes[k], &mut of_mu[k]);
+            for (terms, seed) in nodes.ends.iter().flatten().zip(of_ends) {
+                terms.iter().for_each(|(u, f)| of_mu[k][*u as usize] += f * *seed);
             }
         }
-        Direct { surface: change, circulations, mu }
-    }
-
-    /// From direct seeds and those of the pairs to points and Mach number.
-    fn motion(
-        &self,
-        setup: &PanelSetup,
-        steps: &Steps<'_, B>,
-        direct: Direct<B>,
-        pairs: PairSeeds<B>,
-    ) -> Motion {
-        let panels = &setup.panels;
-        let mut change = direct.surface;
-        let add = |to: &mut [Vector3], from: &[Vector3]| {
-            to.iter_mut().zip(from).for_each(|(to, from)| *to += from);
-        };
-        add(&mut change.points, &pairs.points);
-        add(&mut change.centres, &pairs.centres);
-        // The doublets' part has gone through the residual.
-        let mut unused = vec![0.0; panels.len()];
-        for k in 0..B {
-            self.surface.sources_vjp(panels.axes()[k], &pairs.sources[k], &mut change);
-            let of_strips = direct.circulations[k].iter().zip(&pairs.strips[k]);
-            let of_strips: Vec<f64> = of_strips.map(|(direct, of_pairs)| direct + of_pairs).collect();
-            steps.kutta.vjp(&self.mu[k], &of_strips, &mut change, &mut unused);
-        }
-        let (points, mach) = self.surface.vjp(panels, change);
-        Motion { points, mach }
+        (change, of_mu)
     }
 
     /// `-A^-1 b`, or `-A^-T b`, for the columns b of every direction or seed.
@@ -258,13 +189,5 @@ impl<const B: usize> State<B> {
         let solved = self.system.solve(&right, transposed, setup.options.tolerance, monitor)?;
         let mut columns = solved.columns.into_iter();
         Ok((0..count).map(|_| std::array::from_fn(|_| columns.next().unwrap_or_default())).collect())
-    }
-
-    /// The strengths of doublets and wakes.
-    pub fn strengths(&self) -> Strengths<'_, B> {
-        Strengths {
-            doublets: std::array::from_fn(|k| &self.mu[k][..]),
-            circulations: std::array::from_fn(|k| &self.circulations[k][..]),
-        }
     }
 }

@@ -6,8 +6,20 @@ use moldline_mesh::{Plane, SurfaceMesh, Vector3, symmetry::pair_vertices};
 
 use crate::PanelError;
 
-/// Distance from the plane, and between a vertex and its partner's image, as a fraction of the mesh's extent.
+/// Distance from the plane, and between a vertex and its partner's image, as a fraction of the diagonal of the mesh's box.
 pub(crate) const SYMMETRY_TOLERANCE: f64 = 1e-5;
+
+/// The distance within which vertices are in the plane, or each other's images, m: one for finding the symmetry and for checking it.
+pub(crate) fn symmetry_tolerance(vertices: &[[f64; 3]]) -> f64 {
+    let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
+    for x in vertices {
+        for axis in 0..3 {
+            low[axis] = low[axis].min(x[axis]);
+            high[axis] = high[axis].max(x[axis]);
+        }
+    }
+    SYMMETRY_TOLERANCE * (Vector3::from(high) - Vector3::from(low)).norm()
+}
 
 /// The mirror image.
 pub(crate) fn mirrored(x: Vector3) -> Vector3 {

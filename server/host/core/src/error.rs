@@ -123,6 +123,16 @@ impl ServiceError {
         self
     }
 
+    /// The same error in other words: message and descriptions as `words` gives them.
+    #[must_use]
+    pub fn reworded(mut self, words: impl Fn(&str) -> String) -> Self {
+        self.message = words(&self.message);
+        self.violations
+            .iter_mut()
+            .for_each(|violation| violation.description = words(&violation.description));
+        self
+    }
+
     /// Sets the delay before a retry.
     #[must_use]
     pub fn retry_after(mut self, delay: Duration) -> Self {

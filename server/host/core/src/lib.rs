@@ -17,6 +17,7 @@ mod flight;
 mod pool;
 mod principal;
 mod progress;
+mod supply;
 mod timing;
 
 pub use cache::{Cache, CacheStatus, Claim};
@@ -26,4 +27,5 @@ pub use flight::{Flights, Follower, Joined, Reports};
 pub use pool::{Completed, ComputePool, PoolLimits, Task, Ticket, Work};
 pub use principal::{Principal, Role, Tenant, TenantError};
 pub use progress::{Progress, Reporter};
+pub use supply::{Share, Sharing, Supply};
 pub use timing::{Product, Timing};

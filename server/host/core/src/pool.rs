@@ -16,6 +16,7 @@ use crate::{
     error::{Code, ServiceError},
     principal::Tenant,
     progress::Progress,
+    supply::{Share, Sharing, Supply},
 };
 
 /// Sizes of pool and queue.
@@ -58,6 +59,8 @@ pub struct Task {
     pub setup: Option<String>,
     /// Id of the session, if there is one.
     pub session: Option<String>,
+    /// An estimate of the working memory that it takes while it runs, bytes; 0 if others account for it.
+    pub memory: u64,
 }
 
 /// A pool of threads behind a fair queue: tenants take turns, and the tasks of one tenant run in order of arrival.
@@ -65,6 +68,7 @@ pub struct Task {
 pub struct ComputePool {
     threads: rayon::ThreadPool,
     queue: Arc<Queue>,
+    memory: Arc<Supply>,
 }
 
 /// Running and waiting tasks.
@@ -73,6 +77,8 @@ struct Queue {
     limits: PoolLimits,
     /// Most tasks of one tenant.
     of_tenant: usize,
+    /// Running and waiting tasks as places of which tenants have a share.
+    shares: Arc<Supply>,
     state: Mutex<State>,
 }
 
@@ -89,6 +95,7 @@ struct State {
 
 #[derive(Debug)]
 struct Entry {
+    _share: Share,
     task: Task,
     arrival: Instant,
     /// Starts the task; `None` once it runs.
@@ -147,24 +154,42 @@ impl Ticket {
 }
 
 impl ComputePool {
-    /// Starts the threads. `of_tenant`: most running and waiting tasks of one tenant.
+    /// Starts the threads, for one tenant with all the memory that there is. `of_tenant`: most running and waiting tasks of one
+    /// tenant.
     ///
     /// # Errors
     /// If the operating system cannot start the threads.
     pub fn new(limits: PoolLimits, of_tenant: usize) -> Result<Self, rayon::ThreadPoolBuildError> {
+        let memory = Supply::new("bytes of working memory", "--memory", u64::MAX, Sharing::Alone);
+        Self::sharing(limits, of_tenant, Sharing::Alone, memory)
+    }
+
+    /// Starts the threads, with places and memory shared by tenants.
+    ///
+    /// # Errors
+    /// If the operating system cannot start the threads.
+    pub fn sharing(
+        limits: PoolLimits,
+        of_tenant: usize,
+        sharing: Sharing,
+        memory: Arc<Supply>,
+    ) -> Result<Self, rayon::ThreadPoolBuildError> {
         let threads = rayon::ThreadPoolBuilder::new()
             .num_threads(limits.threads)
             .thread_name(|index| format!("compute-{index}"))
             .build()?;
         let limits = PoolLimits { running: limits.running.max(1), ..limits };
-        Ok(Self { threads, queue: Arc::new(Queue { limits, of_tenant, state: Mutex::default() }) })
+        let places = (limits.running + limits.queued) as u64;
+        let shares = Supply::new("places to compute or wait", "--queued", places, sharing);
+        let queue = Arc::new(Queue { limits, of_tenant, shares, state: Mutex::default() });
+        Ok(Self { threads, queue, memory })
     }
 
     /// Runs `work` on the pool when its turn comes. Dropping the future removes it from the queue or, once it runs, sets its
     /// cancellation flag; the place is free when the work has actually ended.
     ///
     /// # Errors
-    /// `ResourceExhausted` if the queue or the tenant's share of it is full, `DeadlineExceeded` if `work` runs longer than the
+    /// `ResourceExhausted` if the queue or the tenant's share of it is full, or of the memory, `DeadlineExceeded` if `work` runs longer than the
     /// limit, `Internal` if it panics, and what it returns.
     pub async fn run<T: Send + 'static>(
         &self,
@@ -172,9 +197,10 @@ impl ComputePool {
         work: impl FnOnce(&Ticket) -> Result<T, ServiceError> + Send + 'static,
     ) -> Result<Completed<T>, ServiceError> {
         let arrival = Instant::now();
-        let kind = task.kind;
+        let (kind, tenant, bytes) = (task.kind, task.tenant.clone(), task.memory);
         let (place, turn) = self.queue.enter(task)?;
         turn.await.map_err(|_| gone())?;
+        let memory = self.memory.take(&tenant, &format!("`{kind}`"), bytes)?;
 
         let interest = Interest::default();
         let ticket = Ticket { cancellation: interest.cancellation(), place };
@@ -191,7 +217,7 @@ impl ComputePool {
             });
             let completed =
                 outcome.map(|value| Completed { value, queued: start - arrival, ran: start.elapsed() });
-            drop(ticket);
+            drop((ticket, memory));
             // There is no receiver if the caller has gone.
             let _ = sender.send(completed);
         });
@@ -206,6 +232,11 @@ impl ComputePool {
         }
     }
 
+    /// The working memory, of which requests take their part too.
+    pub fn memory(&self) -> &Arc<Supply> {
+        &self.memory
+    }
+
     /// The sizes in force.
     pub fn limits(&self) -> PoolLimits {
         self.queue.limits
@@ -214,6 +245,25 @@ impl ComputePool {
     /// Number of running and waiting tasks.
     pub fn load(&self) -> usize {
         self.queue.lock().places.len()
+    }
+
+    /// Whether work gets done.
+    ///
+    /// # Errors
+    /// A sentence that says that all places are taken by tasks that do not end although they have been cancelled.
+    pub fn moving(&self) -> Result<(), String> {
+        /// From its cancellation, a task has this time to end.
+        const GRACE: Duration = Duration::from_secs(30);
+        let PoolLimits { running, work, .. } = self.queue.limits;
+        let state = self.queue.lock();
+        let overdue =
+            |entry: &&Entry| entry.start.is_some_and(|start| start.elapsed() > work.saturating_add(GRACE));
+        match state.places.values().filter(overdue).count() {
+            stuck if stuck >= running => {
+                Err(format!("all {stuck} pieces of work that run are overdue and do not end"))
+            }
+            _ => Ok(()),
+        }
     }
 
     /// Running and waiting tasks, oldest first: all, or those of one tenant.
@@ -250,10 +300,12 @@ impl Queue {
                 "{own} requests of yours compute or wait, which is the limit for one tenant; try again later"
             )));
         }
+        let _share = self.shares.take(&task.tenant, "the request", 1)?;
         let (call, turn) = oneshot::channel();
         let number = state.arrivals;
         state.arrivals += 1;
-        let entry = Entry { task, arrival: Instant::now(), call: Some(call), start: None, stage: None };
+        let entry =
+            Entry { _share, task, arrival: Instant::now(), call: Some(call), start: None, stage: None };
         state.places.insert(number, entry);
         state.call(running);
         drop(state);
@@ -346,7 +398,7 @@ mod tests {
     }
 
     fn of(tenant: &str) -> Task {
-        Task { kind: "test", tenant: Tenant::new(tenant).unwrap(), setup: None, session: None }
+        Task { kind: "test", tenant: Tenant::new(tenant).unwrap(), setup: None, session: None, memory: 0 }
     }
 
     #[tokio::test]

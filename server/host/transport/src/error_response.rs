@@ -18,8 +18,30 @@ use crate::code::codes;
 /// The error domain in google.rpc.ErrorInfo and in the type of a problem.
 const DOMAIN: &str = "moldline";
 
+/// Cuts what a caller may have sent itself: names in errors would else come back in headers and log lines of any length.
+fn bounded(mut error: ServiceError) -> ServiceError {
+    const MESSAGE: usize = 2000;
+    const FIELD: usize = 300;
+    const VIOLATIONS: usize = 20;
+    let cut = |text: &mut String, most: usize| {
+        if text.len() > most {
+            let end = (0..=most).rev().find(|&end| text.is_char_boundary(end)).unwrap_or(0);
+            text.truncate(end);
+            text.push_str("...");
+        }
+    };
+    cut(&mut error.message, MESSAGE);
+    error.violations.truncate(VIOLATIONS);
+    for violation in &mut error.violations {
+        cut(&mut violation.field, FIELD);
+        cut(&mut violation.description, MESSAGE);
+    }
+    error
+}
+
 /// The gRPC status of an error.
 pub fn status(error: ServiceError) -> Status {
+    let error = bounded(error);
     log(&error);
     let mut details = ErrorDetails::new();
     details.set_error_info(error.code.name(), DOMAIN, HashMap::new());
@@ -88,7 +110,7 @@ pub struct FieldViolation {
 impl ErrorResponse {
     /// `error` with a specific HTTP status.
     pub fn with(status: StatusCode, error: ServiceError) -> Self {
-        Self { error, status }
+        Self { error: bounded(error), status }
     }
 
     /// Its problem document.
@@ -112,7 +134,7 @@ impl ErrorResponse {
 
 impl From<ServiceError> for ErrorResponse {
     fn from(error: ServiceError) -> Self {
-        Self { status: codes(error.code).1, error }
+        Self::with(codes(error.code).1, error)
     }
 }
 
@@ -189,6 +211,17 @@ mod tests {
         assert_eq!(response.headers()[header::CONTENT_TYPE], "application/problem+json");
         // Whole seconds, and never too early.
         assert_eq!(response.headers()[header::RETRY_AFTER], "2");
+    }
+
+    #[test]
+    fn what_the_caller_sent_comes_back_short() {
+        let name = "ä".repeat(1 << 20);
+        let mut error = ServiceError::invalid(format!("points[\"{name}\"]"), format!("there is no `{name}`"));
+        error.violations = vec![error.violations[0].clone(); 1000];
+        let problem = serde_json::to_vec(&ErrorResponse::from(error.clone()).problem()).unwrap();
+        assert!(problem.len() < 64 << 10, "{}", problem.len());
+        let status = status(error);
+        assert!(status.message().len() < 2100 && status.details().len() < 64 << 10);
     }
 
     #[test]

@@ -1,8 +1,12 @@
 //! Liveness and readiness: `/healthz`, `/readyz`, and the gRPC health service.
 
-use std::sync::{
-    Arc,
-    atomic::{AtomicBool, Ordering},
+use std::{
+    fmt,
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
+    time::Duration,
 };
 
 use axum::http::StatusCode;
@@ -14,6 +18,17 @@ pub struct Health {
     ready: Arc<AtomicBool>,
     reporter: HealthReporter,
     services: Arc<[&'static str]>,
+    check: Check,
+}
+
+/// What a service says of itself when it is asked whether it is ready.
+#[derive(Clone)]
+struct Check(Arc<dyn Fn() -> Result<(), String> + Send + Sync>);
+
+impl fmt::Debug for Check {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Check")
+    }
 }
 
 impl Health {
@@ -23,9 +38,33 @@ impl Health {
     ) -> (Self, tonic_health::pb::health_server::HealthServer<impl tonic_health::pb::health_server::Health>)
     {
         let (reporter, service) = tonic_health::server::health_reporter();
-        let health = Self { ready: Arc::new(AtomicBool::new(true)), reporter, services: services.into() };
+        let check = Check(Arc::new(|| Ok(())));
+        let health =
+            Self { ready: Arc::new(AtomicBool::new(true)), reporter, services: services.into(), check };
         health.report(ServingStatus::Serving).await;
         (health, service)
+    }
+
+    /// Ready only as long as `check` finds no fault, which it names.
+    #[must_use]
+    pub fn while_passes(self, check: impl Fn() -> Result<(), String> + Send + Sync + 'static) -> Self {
+        Self { check: Check(Arc::new(check)), ..self }
+    }
+
+    /// Keeps the gRPC health service to what `/readyz` says, for ever.
+    pub async fn follow(self) {
+        let mut interval = tokio::time::interval(Duration::from_secs(1));
+        let mut last = true;
+        loop {
+            interval.tick().await;
+            let (status, reason) = self.ready();
+            let ready = status.is_success();
+            if ready != last {
+                tracing::warn!(ready, reason = reason.trim(), "readiness changed");
+                self.report(if ready { ServingStatus::Serving } else { ServingStatus::NotServing }).await;
+            }
+            last = ready;
+        }
     }
 
     /// Announces the shutdown: not ready any more. Requests that still arrive are served.
@@ -41,10 +80,13 @@ impl Health {
     }
 
     /// The answer to `/readyz`: whether new requests should come here.
-    pub fn ready(&self) -> (StatusCode, &'static str) {
-        match self.ready.load(Ordering::Relaxed) {
-            true => (StatusCode::OK, "ready\n"),
-            false => (StatusCode::SERVICE_UNAVAILABLE, "stopping\n"),
+    pub fn ready(&self) -> (StatusCode, String) {
+        if !self.ready.load(Ordering::Relaxed) {
+            return (StatusCode::SERVICE_UNAVAILABLE, "stopping\n".to_owned());
+        }
+        match (self.check.0)() {
+            Ok(()) => (StatusCode::OK, "ready\n".to_owned()),
+            Err(fault) => (StatusCode::SERVICE_UNAVAILABLE, format!("{fault}\n")),
         }
     }
 }

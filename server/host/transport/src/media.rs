@@ -9,8 +9,7 @@
 
 use std::{
     pin::Pin,
-    task::{Context, Poll},
-    time::Duration,
+    task::{Context, Poll, ready},
 };
 
 use axum::{
@@ -22,12 +21,13 @@ use http_body::Body as _;
 use moldline_host::{Code, ServiceError};
 use moldline_proto::v1::{Array, DataType};
 use serde::{Serialize, de};
-use tokio::time::{Instant, Sleep};
+use tokio::sync::Semaphore;
 use tokio_stream::{Stream, StreamExt};
 
 use crate::{
     error_response::{Answer, ErrorResponse},
     npy,
+    received::refusal,
 };
 
 /// A type of body.
@@ -135,9 +135,6 @@ pub fn unsupported(why: &str) -> ErrorResponse {
     ErrorResponse::with(StatusCode::UNSUPPORTED_MEDIA_TYPE, ServiceError::invalid("content-type", why))
 }
 
-/// A body is abandoned after this time without a byte.
-const STALLED: Duration = Duration::from_secs(30);
-
 /// The announced length of a body.
 ///
 /// # Errors
@@ -160,17 +157,16 @@ pub struct Chunks {
     body: Body,
     rest: Bytes,
     most: usize,
-    silence: Pin<Box<Sleep>>,
 }
 
 impl Chunks {
     /// Chunks of `most` bytes at most.
     pub fn new(body: Body, most: usize) -> Self {
-        Self { body, rest: Bytes::new(), most, silence: Box::pin(tokio::time::sleep(STALLED)) }
+        Self { body, rest: Bytes::new(), most }
     }
 }
 
-/// Fails if the client disconnects or stalls.
+/// Fails if the client disconnects, or the body is refused on its way.
 impl Stream for Chunks {
     type Item = Answer<Bytes>;
 
@@ -180,21 +176,15 @@ impl Stream for Chunks {
                 let length = self.rest.len().min(self.most);
                 return Poll::Ready(Some(Ok(self.rest.split_to(length))));
             }
-            match Pin::new(&mut self.body).poll_frame(context) {
-                Poll::Ready(None) => return Poll::Ready(None),
-                Poll::Ready(Some(Ok(frame))) => {
-                    self.silence.as_mut().reset(Instant::now() + STALLED);
-                    self.rest = frame.into_data().unwrap_or_default();
-                }
-                Poll::Ready(Some(Err(error))) => {
-                    let error = ServiceError::new(Code::Cancelled, format!("the body was cut off: {error}"));
-                    return Poll::Ready(Some(Err(error.into())));
-                }
-                Poll::Pending if self.silence.as_mut().poll(context).is_pending() => return Poll::Pending,
-                Poll::Pending => {
-                    let message = format!("no byte of the body came for {} s", STALLED.as_secs());
-                    let error = ServiceError::new(Code::DeadlineExceeded, message);
-                    return Poll::Ready(Some(Err(ErrorResponse::with(StatusCode::REQUEST_TIMEOUT, error))));
+            match ready!(Pin::new(&mut self.body).poll_frame(context)) {
+                None => return Poll::Ready(None),
+                Some(Ok(frame)) => self.rest = frame.into_data().unwrap_or_default(),
+                Some(Err(error)) => {
+                    let cut = || {
+                        let message = format!("the body was cut off: {error}");
+                        ServiceError::new(Code::Cancelled, message).into()
+                    };
+                    return Poll::Ready(Some(Err(refusal(&error).unwrap_or_else(cut))));
                 }
             }
         }
@@ -220,6 +210,31 @@ pub async fn read(headers: &HeaderMap, body: Body, limit: usize) -> Answer<Bytes
         }
     }
     Err(too_large(limit as u64))
+}
+
+/// Reads or writes a body of about `bytes`: a long one beside the threads that answer requests, at most two at a time.
+///
+/// # Errors
+/// Those of `work`.
+pub async fn beside<T: Send + 'static, E: From<ServiceError> + Send + 'static>(
+    bytes: usize,
+    work: impl FnOnce() -> Result<T, E> + Send + 'static,
+) -> Result<T, E> {
+    /// Read within a fraction of a millisecond.
+    const SHORT: usize = 64 << 10;
+    /// As many as there are threads for requests.
+    static PLACES: Semaphore = Semaphore::const_new(2);
+    if bytes <= SHORT {
+        return work();
+    }
+    let _place = PLACES.acquire().await;
+    let failed = |_| {
+        ServiceError::new(
+            Code::Internal,
+            "a body could not be read or written; the server's log has the cause",
+        )
+    };
+    tokio::task::spawn_blocking(work).await.map_err(failed)?
 }
 
 /// Reads a JSON document. An empty body is an empty document.

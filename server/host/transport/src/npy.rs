@@ -6,7 +6,7 @@
 use std::io::{Cursor, Read, Write};
 
 use bytes::Bytes;
-use moldline_host::ServiceError;
+use moldline_host::{ServiceError, shorten};
 use moldline_proto::v1::{Array, DataType};
 use zip::{CompressionMethod, ZipArchive, ZipWriter, write::SimpleFileOptions};
 
@@ -183,6 +183,12 @@ pub fn write_npz(arrays: &[(String, Array)], info: &str) -> Result<Vec<u8>, Serv
 /// `InvalidArgument` naming the array.
 pub fn read_npz(file: Bytes, limit: usize) -> Result<Vec<(String, Array)>, ServiceError> {
     let unreadable = |error| ServiceError::invalid("body", format!("is not a .npz file: {error}"));
+    // Before the directory is read, whose entries take several times their bytes.
+    let entries = file.windows(4).filter(|bytes| bytes == b"PK\x01\x02").count();
+    if entries > 4 * MEMBERS {
+        let limit = format!("{entries} arrays are more than the limit of {MEMBERS}");
+        return Err(ServiceError::invalid("body", limit));
+    }
     let mut archive = ZipArchive::new(Cursor::new(file)).map_err(unreadable)?;
     if archive.len() > MEMBERS {
         let count = archive.len();
@@ -200,6 +206,10 @@ pub fn read_npz(file: Bytes, limit: usize) -> Result<Vec<(String, Array)>, Servi
             let name: String = name.chars().take(64).collect();
             return Err(ServiceError::invalid("body", format!("`{name}` in it is not a .npy file")));
         };
+        if arrays.iter().any(|(known, _)| *known == name) {
+            let twice = "occurs twice in the .npz file; give each array a name of its own";
+            return Err(ServiceError::invalid(shorten(&name), twice));
+        }
         // The size in the directory may be false: reading stops at the limit.
         let mut data = Vec::with_capacity(member.size().min(left) as usize);
         let read = member.take(left + 1).read_to_end(&mut data);

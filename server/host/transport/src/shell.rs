@@ -1,7 +1,7 @@
 //! The router around a service: everything that does not depend on what the service does.
 //!
 //! ```text
-//! request -> id, span, metrics -> deadline -> route -> credential -> handler (gRPC or HTTP) -> answer observed to its end
+//! request -> id, span, metrics -> deadline -> route -> credential -> role, memory -> handler -> answer observed to its end
 //! ```
 
 use std::{collections::HashMap, pin::Pin, sync::Arc, time::Duration};
@@ -24,9 +24,11 @@ use utoipa_axum::router::OpenApiRouter;
 
 use crate::{
     access::{self, Access},
+    admit::{self, Admission},
     deadline,
     error_response::{ErrorResponse, is_grpc, reject},
     health::Health,
+    local,
     media::SHAPE,
     methods,
     observe::{self, REQUEST_ID, Rpc, Trace},
@@ -40,6 +42,8 @@ pub struct Served {
     pub grpc: Routes,
     /// gRPC services without authentication: health, reflection.
     pub open: Routes,
+    /// What is asked of a request before its body is read.
+    pub admission: Admission,
 }
 
 /// Updates the gauges of /metrics.
@@ -59,27 +63,43 @@ pub struct Surroundings {
     pub trace: Trace,
     /// Origins of web pages that may call (CORS).
     pub origins: Vec<HeaderValue>,
+    /// Whether callers are trusted because they are on this machine: then web pages that they visit are kept out.
+    pub local: bool,
+}
+
+/// The router of probes and metrics on a port of its own, without credentials.
+pub fn administration(health: Health, metrics: PrometheusHandle, gauges: Gauges) -> Router {
+    let scrape = move || scrape(Arc::clone(&gauges), metrics.clone());
+    Router::new()
+        .route("/healthz", get(|| async { "alive\n" }))
+        .route("/readyz", get(move || async move { health.ready() }))
+        .route("/metrics", get(scrape))
+}
+
+async fn scrape(gauges: Gauges, metrics: PrometheusHandle) -> impl IntoResponse {
+    gauges().await;
+    ([(header::CONTENT_TYPE, "text/plain; version=0.0.4")], metrics.render())
 }
 
 /// The router of everything on the port.
 pub fn router(served: Served, surroundings: Surroundings) -> Router {
-    let Surroundings { access, health, metrics, gauges, trace, origins } = surroundings;
+    let Surroundings { access, health, metrics, gauges, trace, origins, local } = surroundings;
     let (http, openapi) = served.http.split_for_parts();
     let operations = Arc::new(operations(&openapi));
     let described: Arc<str> = openapi.to_json().unwrap_or_default().into();
 
-    let scrape = move || async move {
-        gauges().await;
-        ([(header::CONTENT_TYPE, "text/plain; version=0.0.4")], metrics.render())
-    };
+    let scrape = move || scrape(Arc::clone(&gauges), metrics.clone());
     let authenticate = middleware::from_fn_with_state(access, access::layer);
+    let admit = middleware::from_fn_with_state(served.admission, admit::layer);
     let administrators =
         Router::new().route("/metrics", get(scrape)).route_layer(middleware::from_fn(access::administrators));
     let http = http
+        .route_layer(admit.clone())
         .merge(administrators)
         .route_layer(authenticate.clone())
         .route_layer(middleware::from_fn_with_state(operations, name_http));
-    let grpc = only_routes(served.grpc).route_layer(authenticate).merge(only_routes(served.open));
+    let grpc =
+        only_routes(served.grpc).route_layer(admit).route_layer(authenticate).merge(only_routes(served.open));
     let grpc = grpc.layer(GrpcWebLayer::new()).route_layer(middleware::from_fn(name_grpc));
     let open = Router::new()
         .route("/healthz", get(|| async { "alive\n" }))
@@ -92,6 +112,9 @@ pub fn router(served: Served, surroundings: Surroundings) -> Router {
         .fallback(unknown)
         .method_not_allowed_fallback(method_not_allowed)
         .layer(middleware::from_fn(deadline::layer));
+    if local {
+        router = router.layer(middleware::from_fn_with_state(Arc::from(origins.clone()), local::layer));
+    }
     if !origins.is_empty() {
         router = router.layer(cors(origins));
     }
@@ -125,22 +148,26 @@ fn operations(openapi: &OpenApi) -> HashMap<(String, String), String> {
 
 async fn name_http(
     State(operations): State<Arc<HashMap<(String, String), String>>>,
-    request: Request,
+    mut request: Request,
     next: Next,
 ) -> Response {
     let path = request.extensions().get::<MatchedPath>().map(|path| path.as_str().to_owned());
     let key = (request.method().as_str().to_owned(), path.unwrap_or_default());
-    let name = operations.get(&key).cloned();
+    let rpc = Rpc(operations.get(&key).cloned().unwrap_or(key.1));
+    request.extensions_mut().insert(rpc.clone());
     let mut response = next.run(request).await;
-    response.extensions_mut().insert(Rpc(name.unwrap_or(key.1)));
+    response.extensions_mut().insert(rpc);
     response
 }
 
-async fn name_grpc(request: Request, next: Next) -> Response {
-    let name = methods::name_of(request.uri().path());
+async fn name_grpc(mut request: Request, next: Next) -> Response {
+    let rpc = methods::name_of(request.uri().path()).map(|name| Rpc(name.to_owned()));
+    if let Some(rpc) = &rpc {
+        request.extensions_mut().insert(rpc.clone());
+    }
     let mut response = next.run(request).await;
-    if let Some(name) = name {
-        response.extensions_mut().insert(Rpc(name.to_owned()));
+    if let Some(rpc) = rpc {
+        response.extensions_mut().insert(rpc);
     }
     response
 }

@@ -37,6 +37,14 @@ pub enum TokenFileError {
         /// The reason.
         reason: String,
     },
+    /// Others than its owner may read or change it.
+    #[error("{}: others may use it (mode {mode:o}), who would have its tokens' rights; `chmod 600` it", path.display())]
+    Open {
+        /// Path of the file.
+        path: PathBuf,
+        /// Its permissions.
+        mode: u32,
+    },
     /// The system provides no random numbers.
     #[error("no random numbers: {0}")]
     Random(getrandom::Error),
@@ -219,6 +227,7 @@ pub fn now() -> u64 {
 }
 
 fn read(path: &Path) -> Result<Vec<Token>, TokenFileError> {
+    check_private(path)?;
     let text = fs::read(path).map_err(|error| file_error(path, error))?;
     let content = |reason| TokenFileError::Content { path: path.to_owned(), reason };
     let document: Document = serde_json::from_slice(&text).map_err(|error| content(error.to_string()))?;
@@ -226,6 +235,23 @@ fn read(path: &Path) -> Result<Vec<Token>, TokenFileError> {
         return Err(content(format!("format {} is not {FORMAT}", document.format)));
     }
     Ok(document.tokens)
+}
+
+/// Refuses a file that others may read, or its group change. A group may read: so orchestrators hand out secrets.
+#[cfg(unix)]
+fn check_private(path: &Path) -> Result<(), TokenFileError> {
+    use std::os::unix::fs::PermissionsExt;
+    let metadata = fs::metadata(path).map_err(|error| file_error(path, error))?;
+    let mode = metadata.permissions().mode() & 0o777;
+    match mode & 0o027 {
+        0 => Ok(()),
+        _ => Err(TokenFileError::Open { path: path.to_owned(), mode }),
+    }
+}
+
+#[cfg(not(unix))]
+fn check_private(_: &Path) -> Result<(), TokenFileError> {
+    Ok(())
 }
 
 /// Replaces the file atomically: others see it either before or after the change.

@@ -1,7 +1,7 @@
 //! Set-ups: uploads, descriptions, access, lists.
 
 use moldline_host::{ServiceError, Tenant, TenantError};
-use moldline_mesh::Cell;
+use moldline_mesh::{Cell, LeftOut};
 use moldline_mesh_service::{
     Access, ArchiveKind, Created, FileEntry, Listed, SetupSummary, StoredSetup, UploadHeader, UploadSource,
     Visibility,
@@ -53,6 +53,11 @@ pub fn visibility(
     let field = || format!("{prefix}visibility");
     let chosen = v1::Visibility::try_from(visibility)
         .map_err(|_| ServiceError::invalid(field(), format!("there is no visibility {visibility}")))?;
+    const MOST: usize = 256;
+    if shared_with.len() > MOST {
+        let description = format!("{} tenants are more than {MOST}; make it public", shared_with.len());
+        return Err(ServiceError::invalid(format!("{prefix}shared_with"), description));
+    }
     if chosen != v1::Visibility::Tenants && !shared_with.is_empty() {
         let description = "names tenants, and so the visibility has to be VISIBILITY_TENANTS";
         return Err(ServiceError::invalid(format!("{prefix}shared_with"), description));
@@ -118,6 +123,18 @@ pub fn description(setup: &StoredSetup, access: &Access) -> v1::SetupDescription
         control_point_counts: components.map(|c| c.user_control_point_count() as u64).collect(),
         setup_id: setup.id.to_string(),
         access: Some(self::access(access)),
+        turned_cell_count: setup.engine.report().turned_cells as u64,
+        left_out: Some(left_out(setup.engine.report().left_out)),
+    }
+}
+
+fn left_out(left_out: LeftOut) -> v1::LeftOut {
+    let LeftOut { nodes, merged_nodes, other_cells, collapsed_cells } = left_out;
+    v1::LeftOut {
+        nodes: nodes as u64,
+        merged_nodes: merged_nodes as u64,
+        other_cells: other_cells as u64,
+        collapsed_cells: collapsed_cells as u64,
     }
 }
 

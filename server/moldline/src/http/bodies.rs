@@ -34,15 +34,22 @@ impl Bodies {
     }
 
     /// Reads a body that must be JSON.
-    pub async fn document<T: DeserializeOwned>(self, headers: &HeaderMap, body: Body) -> Answer<T> {
+    pub async fn document<T: DeserializeOwned + Send + 'static>(
+        self,
+        headers: &HeaderMap,
+        body: Body,
+    ) -> Answer<T> {
         match Media::sent(headers)? {
-            Media::Json => media::json(&media::read(headers, body, self.limit(Media::Json)).await?),
+            Media::Json => {
+                let body = media::read(headers, body, self.limit(Media::Json)).await?;
+                media::beside(body.len(), move || media::json(&body)).await
+            }
             _ => Err(media::unsupported("this takes application/json")),
         }
     }
 
     /// Reads a document or arrays; `main` names an array that is sent alone, and `shape` has its extents.
-    pub async fn numbers<T: DeserializeOwned>(
+    pub async fn numbers<T: DeserializeOwned + Send + 'static>(
         self,
         headers: &HeaderMap,
         body: Body,
@@ -51,10 +58,18 @@ impl Bodies {
     ) -> Answer<Sent<T>> {
         let media = Media::sent(headers)?;
         let body: Bytes = media::read(headers, body, self.limit(media)).await?;
-        Ok(match media {
-            Media::Json => Sent::Document(media::json(&body)?),
-            _ if body.is_empty() => Sent::Arrays(Arrays::new(Vec::new())),
-            _ => Sent::Arrays(Arrays::new(media::arrays(media, body, main, shape, self.most)?)),
-        })
+        let length = body.len();
+        let (main, shape) = (main.to_owned(), shape.map(str::to_owned));
+        let read = move || {
+            Ok(match media {
+                Media::Json => Sent::Document(media::json(&body)?),
+                _ if body.is_empty() => Sent::Arrays(Arrays::new(Vec::new())),
+                _ => {
+                    let arrays = media::arrays(media, body, &main, shape.as_deref(), self.most)?;
+                    Sent::Arrays(Arrays::new(arrays))
+                }
+            })
+        };
+        media::beside(length, read).await
     }
 }

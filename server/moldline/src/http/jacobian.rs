@@ -64,7 +64,7 @@ pub async fn jacobian(
     let first = blocks.recv().await.unwrap_or_else(|| Err(cut_off()))?;
     match media {
         Media::Npy | Media::Octets => stream(media, first, blocks),
-        _ => collect(first, blocks, limit).await?.respond(media),
+        _ => collect(first, blocks, limit).await?.respond(media).await,
     }
 }
 

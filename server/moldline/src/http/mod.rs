@@ -39,7 +39,8 @@ fn idempotency_key(headers: &axum::http::HeaderMap) -> String {
 
 /// All routes, with their description. Bodies may have `max_body` bytes.
 pub fn routes(api: MeshApi, max_body: usize) -> OpenApiRouter {
-    let http = Http { api, operations: Arc::default(), bodies: Bodies { most: max_body } };
+    let operations = Arc::new(Operations::new(api.service().limits().sharing));
+    let http = Http { api, operations, bodies: Bodies { most: max_body } };
     OpenApiRouter::with_openapi(Description::openapi())
         .routes(routes!(setups::create_setup, setups::list_setups))
         .routes(routes!(setups::get_setup, setups::delete_setup))

@@ -2,7 +2,7 @@
 //! stored, and posting the same content again finds them.
 
 use std::{
-    sync::{Mutex, MutexGuard, PoisonError},
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
     time::{Duration, Instant},
 };
 
@@ -11,7 +11,7 @@ use axum::{
     http::{HeaderValue, StatusCode, header},
     response::Response,
 };
-use moldline_host::{Code, Principal, ServiceError, Tenant};
+use moldline_host::{Principal, ServiceError, Share, Sharing, Supply, Tenant};
 use moldline_proto::v1;
 use moldline_transport::{Answer, Caller, ErrorResponse, Id, Problem, media};
 use serde::Serialize;
@@ -46,8 +46,11 @@ pub struct Operation {
 }
 
 /// Operations that run or ended recently.
-#[derive(Debug, Default)]
-pub struct Operations(Mutex<Vec<Entry>>);
+#[derive(Debug)]
+pub struct Operations {
+    all: Mutex<Vec<Entry>>,
+    places: Arc<Supply>,
+}
 
 #[derive(Debug)]
 struct Entry {
@@ -55,6 +58,7 @@ struct Entry {
     tenant: Tenant,
     course: watch::Receiver<Course>,
     task: AbortHandle,
+    _place: Share,
 }
 
 #[derive(Debug, Default)]
@@ -70,14 +74,21 @@ struct Outcome {
 }
 
 impl Operations {
+    /// None yet. Tenants have shares of their number.
+    pub fn new(sharing: Sharing) -> Self {
+        const MOST: u64 = 256;
+        let places = Supply::new("operations that run or are remembered", "none", MOST, sharing);
+        Self { all: Mutex::default(), places }
+    }
+
     fn lock(&self) -> MutexGuard<'_, Vec<Entry>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        self.all.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Runs `work` in a task of its own, and answers when it has received the whole body, or has failed.
     ///
     /// # Errors
-    /// `ResourceExhausted` if too many operations run.
+    /// `ResourceExhausted` if too many operations of the tenant run.
     pub async fn start(
         &self,
         caller: &Principal,
@@ -93,9 +104,15 @@ impl Operations {
         };
         {
             let mut all = self.lock();
-            make_room(&mut all)?;
+            let _place = make_room(&self.places, &mut all, &caller.tenant)?;
             let task = tokio::spawn(run.instrument(Span::current())).abort_handle();
-            all.push(Entry { id: id.clone(), tenant: caller.tenant.clone(), course: course.clone(), task });
+            all.push(Entry {
+                id: id.clone(),
+                tenant: caller.tenant.clone(),
+                course: course.clone(),
+                task,
+                _place,
+            });
         }
         // A client that leaves while it sends abandons the operation.
         let mut pending = Pending { operations: self, id: Some(&id) };
@@ -137,25 +154,21 @@ impl Operations {
     }
 }
 
-/// Removes operations that ended long ago, and if all places are taken, the one that ended first.
-fn make_room(all: &mut Vec<Entry>) -> Answer<()> {
-    const LIMIT: usize = 256;
+/// Removes operations that ended long ago, and if the tenant has no place left, its own that ended first.
+fn make_room(places: &Arc<Supply>, all: &mut Vec<Entry>, tenant: &Tenant) -> Answer<Share> {
     const KEPT: Duration = Duration::from_secs(3600);
     let ended = |entry: &Entry| entry.course.borrow().outcome.as_ref().map(|outcome| outcome.when);
     all.retain(|entry| ended(entry).is_none_or(|when| when.elapsed() < KEPT));
-    if all.len() < LIMIT {
-        return Ok(());
+    loop {
+        let refused = match places.take(tenant, "the operation", 1) {
+            Ok(place) => return Ok(place),
+            Err(refused) => refused,
+        };
+        let own = |index: &usize| all[*index].tenant == *tenant;
+        let first = (0..all.len()).filter(own).filter_map(|index| Some((ended(&all[index])?, index))).min();
+        let Some((_, index)) = first else { return Err(refused.into()) };
+        all.swap_remove(index);
     }
-    let first = (0..all.len()).filter_map(|index| Some((ended(&all[index])?, index))).min();
-    let Some((_, index)) = first else {
-        let error = ServiceError::new(
-            Code::ResourceExhausted,
-            format!("{LIMIT} operations are running, which is the limit; try again later"),
-        );
-        return Err(error.retry_after(Duration::from_secs(1)).into());
-    };
-    all.swap_remove(index);
-    Ok(())
 }
 
 fn describe(id: &str, course: &Course) -> Operation {

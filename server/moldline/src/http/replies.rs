@@ -6,10 +6,11 @@ use moldline_transport::{
     Answer,
     media::{self, Media},
 };
+use prost::Message;
 use serde::Serialize;
 
 /// An answer with arrays.
-pub trait Reply: Serialize + Sized {
+pub trait Reply: Message + Serialize + Sized + 'static {
     /// Takes the arrays out of the answer, each with its name, the main array first.
     fn take_arrays(&mut self) -> Vec<(String, Array)>;
 
@@ -17,9 +18,9 @@ pub trait Reply: Serialize + Sized {
     fn headers(&self) -> Vec<(&'static str, String)>;
 
     /// Responds with the type that the client accepts.
-    fn respond(self, media: Media) -> Answer<Response> {
+    fn respond(self, media: Media) -> impl Future<Output = Answer<Response>> + Send {
         let headers = self.headers();
-        media::reply(media, self, Self::take_arrays, &headers)
+        media::beside(self.encoded_len(), move || media::reply(media, self, Self::take_arrays, &headers))
     }
 }
 

@@ -85,7 +85,7 @@ pub async fn get_session(
     headers: HeaderMap,
 ) -> Answer<Response> {
     let media = Media::accepted(&headers, &ARRAYS)?;
-    http.api.get_session(&caller, v1::GetSessionRequest { session_id }).await?.respond(media)
+    http.api.get_session(&caller, v1::GetSessionRequest { session_id }).await?.respond(media).await
 }
 
 /// Stores a session's design
@@ -178,7 +178,7 @@ pub async fn deform(
         Sent::Document(document) => v1::DeformRequest { session_id, ..document },
         Sent::Arrays(arrays) => arrays.deform(session_id, query.include_cell_quality)?,
     };
-    http.api.deform(&caller, request).await?.respond(media)
+    http.api.deform(&caller, request).await?.respond(media).await
 }
 
 /// The point of a derivative, if the body comes as arrays.
@@ -223,7 +223,7 @@ pub async fn apply_jacobian_vector(
         Sent::Document(document) => v1::ApplyJacobianVectorRequest { session_id, ..document },
         Sent::Arrays(arrays) => arrays.jvp(session_id, query.linearisation_id)?,
     };
-    http.api.apply_jacobian_vector(&caller, request).await?.respond(media)
+    http.api.apply_jacobian_vector(&caller, request).await?.respond(media).await
 }
 
 /// The fields of an adjoint product whose seeds come as arrays.
@@ -278,5 +278,5 @@ pub async fn apply_adjoint(
         }
     };
     request.include_design |= request.control_points_of.is_empty();
-    http.api.apply_adjoint(&caller, request).await?.respond(media)
+    http.api.apply_adjoint(&caller, request).await?.respond(media).await
 }

@@ -225,12 +225,13 @@ pub async fn get_setup(
 ) -> Answer<Response> {
     let media = Media::accepted(&headers, &ARRAYS)?;
     let request = v1::GetSetupRequest { setup_id, include_mesh, include_control_points };
-    http.api.get_setup(&caller, request).await?.respond(media)
+    http.api.get_setup(&caller, request).await?.respond(media).await
 }
 
 /// Deletes a set-up of the caller's own
 ///
-/// Its open sessions go on. Other tenants that uploaded the same content keep it.
+/// The caller's open sessions go on; those of tenants with which it was shared end. Other tenants that uploaded the same
+/// content keep it.
 #[utoipa::path(
     delete, path = "/v1/setups/{setup_id}", operation_id = "DeleteSetup", tag = "set-ups",
     params(("setup_id" = String, Path)),
@@ -249,6 +250,8 @@ pub async fn delete_setup(
 }
 
 /// Changes who else may use a set-up of the caller's own
+///
+/// Who may not use it any more is refused within a second, in open sessions too.
 #[utoipa::path(
     put, path = "/v1/setups/{setup_id}/access", operation_id = "ShareSetup", tag = "set-ups",
     params(("setup_id" = String, Path)), request_body = v1::ShareSetupRequest,

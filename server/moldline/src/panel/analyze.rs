@@ -9,11 +9,13 @@ use std::{
 use clap::Args;
 use moldline_host::{Cancellation, ServiceError};
 use moldline_mesh::{
-    Limits, SurfaceMesh,
-    io::{ReadError, msh, stl, vtu},
+    LeftOut, Limits, SurfaceMesh,
+    io::{Format, Imported, vtu},
 };
+use moldline_mesh_service::explained;
 use moldline_panel::{
-    Analysis, Flow, Loads, Options, PanelSetup, Reference, Scalars, Solver, Symmetry, TrailingEdges,
+    Analysis, Flow, Loads, Options, PanelError, PanelSetup, Reference, Scalars, Solver, Symmetry,
+    TrailingEdges,
 };
 use moldline_panel_service::reporter;
 use serde_json::{Value, json};
@@ -31,6 +33,9 @@ use crate::{
 pub struct AnalyzeOptions {
     /// Mesh file: .msh, .vtu or .stl
     pub mesh: PathBuf,
+    /// Nodes of the mesh within this distance of an earlier one become one, m
+    #[arg(long, default_value_t = 0.0, value_name = "M", value_parser = distance)]
+    pub merge_tolerance: f64,
     /// Mach number
     #[arg(long, default_value_t = 0.0)]
     pub mach: f64,
@@ -81,6 +86,11 @@ pub struct AnalyzeOptions {
     pub report: Option<PathBuf>,
 }
 
+fn distance(text: &str) -> Result<f64, String> {
+    let value: f64 = text.parse().map_err(|error| format!("{error}"))?;
+    if value >= 0.0 && value.is_finite() { Ok(value) } else { Err("must be 0 or greater".to_owned()) }
+}
+
 fn point(text: &str) -> Result<[f64; 3], String> {
     let numbers: Result<Vec<f64>, _> = text.split(',').map(|number| number.trim().parse()).collect();
     let numbers = numbers.map_err(|error| format!("{error}"))?;
@@ -89,9 +99,11 @@ fn point(text: &str) -> Result<[f64; 3], String> {
 
 /// `moldline panel analyze`
 pub fn run(options: &AnalyzeOptions) -> Result<(), Failure> {
-    let mesh = read(&options.mesh)?;
+    let Imported { mesh, origin } = read(&options.mesh, options.merge_tolerance)?;
+    tell_left_out(origin.left_out)?;
+    let explain = |error: PanelError| explained(&origin, error);
     let pool = rayon::ThreadPoolBuilder::new().num_threads(values::threads(options.threads)).build()?;
-    let setup = pool.install(|| PanelSetup::new(&mesh, choices(options))).map_err(ServiceError::from)?;
+    let setup = pool.install(|| PanelSetup::new(&mesh, choices(options))).map_err(explain)?;
     let summary = setup.summary();
     let symmetric = if summary.symmetric { ", one half for both" } else { "" };
     let edges = summary.trailing_edges.len();
@@ -108,8 +120,8 @@ pub fn run(options: &AnalyzeOptions) -> Result<(), Failure> {
     let analyses: Vec<Analysis> = pool.install(|| {
         let bar = Bar::new();
         let monitor = reporter(Cancellation::default(), |progress| bar.show(&progress));
-        let solution = setup.solve(&mesh.vertices, options.mach, &monitor)?;
-        flows.iter().map(|flow| Ok(solution.analyse(flow)?)).collect::<Result<_, ServiceError>>()
+        let solution = setup.solve(&mesh.vertices, options.mach, &monitor).map_err(explain)?;
+        flows.iter().map(|flow| solution.analyse(flow).map_err(explain)).collect::<Result<_, ServiceError>>()
     })?;
     for (alpha, analysis) in options.alpha.iter().zip(&analyses) {
         tell(*alpha, analysis)?;
@@ -150,18 +162,27 @@ fn choices(options: &AnalyzeOptions) -> Options {
     }
 }
 
-fn read(path: &Path) -> Result<SurfaceMesh, Failure> {
+fn read(path: &Path, tolerance: f64) -> Result<Imported, Failure> {
     let failed = |error: io::Error| Failure::File { path: path.to_owned(), error };
+    let format = Format::of_name(&path.to_string_lossy());
+    let unknown = || failed(io::Error::other(format!("is not a {} file", Format::ENDINGS)));
+    let format = format.ok_or_else(unknown)?;
     let bytes = fs::read(path).map_err(failed)?;
-    let limits = Limits::default();
-    let kind = path.extension().and_then(|kind| kind.to_str()).unwrap_or_default().to_ascii_lowercase();
-    let read = match kind.as_str() {
-        "msh" => msh::read(&bytes, &limits),
-        "vtu" => vtu::read(&bytes, &limits),
-        "stl" => stl::read(&bytes, 0.0, &limits),
-        _ => return Err(failed(io::Error::other("is not a .msh, .vtu or .stl file"))),
-    };
-    read.map(|imported| imported.mesh).map_err(|error: ReadError| failed(io::Error::other(error.to_string())))
+    format
+        .read(&bytes, tolerance, &Limits::default())
+        .map_err(|error| failed(io::Error::other(error.to_string())))
+}
+
+/// What of the file is not in the mesh.
+fn tell_left_out(left_out: LeftOut) -> Result<(), Failure> {
+    let LeftOut { nodes, merged_nodes, other_cells, collapsed_cells } = left_out;
+    if left_out == LeftOut::default() {
+        return Ok(());
+    }
+    say(&format_args!(
+        "left out of the file: {nodes} nodes without cells, {other_cells} other cells, {collapsed_cells} collapsed cells; \
+         {merged_nodes} nodes merged into others"
+    ))
 }
 
 fn tell(alpha: f64, analysis: &Analysis) -> Result<(), Failure> {

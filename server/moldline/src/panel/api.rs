@@ -2,12 +2,19 @@
 
 use std::sync::Arc;
 
-use moldline_host::{Principal, ServiceError};
+use moldline_host::{Principal, Role, ServiceError};
 use moldline_panel_service::PanelService;
 use moldline_proto::v1;
+use moldline_transport::Method;
 
 use super::convert;
 use crate::convert::status;
+
+/// What a method needs, by its name.
+pub fn method(name: &str) -> Method {
+    let role = if name == "GetConfiguration" { Role::Reader } else { Role::User };
+    Method { role, streamed: false }
+}
 
 /// The RPCs of the panel method's service.
 #[derive(Clone, Debug)]

@@ -5,7 +5,7 @@ use moldline_mesh::{Cell, Group, Limits, MeshError};
 use moldline_panel::{
     Analysis, Flow, Inputs, Loads, Options, Outputs, PanelError, Reference, Scalars, Section, TrailingEdges,
 };
-use moldline_panel_service::{Analysed, AnalysisPoint, Configuration, Definition, Geometry};
+use moldline_panel_service::{Analysed, AnalysisPoint, Configuration, Definition, Geometry, Merging};
 use moldline_proto::v1;
 use v1::trailing_edges::Rule;
 
@@ -45,6 +45,7 @@ pub fn definition(
         vertices: positions("vertices", &vertices)?,
         cell_groups: groups("cell_groups", cell_groups)?,
         vertex_groups: groups("vertex_groups", vertex_groups)?,
+        merge_tolerance: options.as_ref().and_then(|options| options.merge_tolerance),
         options: self::options(options.unwrap_or_default())?,
     })
 }
@@ -99,6 +100,7 @@ pub fn configuration(configuration: &Configuration) -> v1::Configuration {
         solver: to_message(&SOLVERS, summary.solver),
         memory_bytes: summary.memory,
         components: configuration.setup.component_names().map(str::to_owned).collect(),
+        merged_vertex_count: configuration.merging.as_ref().map_or(0, Merging::count) as u64,
     }
 }
 

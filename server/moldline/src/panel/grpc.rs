@@ -14,7 +14,7 @@ use v1::{
 };
 
 use super::api::PanelApi;
-use crate::grpc::{answer, open, open_routes};
+use crate::grpc::{answer, open, open_routes, refusing};
 
 /// The name of the service.
 const SERVICE: &str = <PanelServiceServer<Grpc> as tonic::server::NamedService>::NAME;
@@ -28,7 +28,9 @@ pub async fn routes(
     let service = PanelServiceServer::new(Grpc { api })
         .max_decoding_message_size(max_message)
         .max_encoding_message_size(usize::MAX);
-    Ok((Routes::new(service), open, health))
+    let message =
+        "this is Moldline's panel service, not its mesh service; name the address of a `moldline serve`";
+    Ok((refusing(Routes::new(service), "/moldline.v1.MeshService/{method}", message), open, health))
 }
 
 /// The service on the wire.

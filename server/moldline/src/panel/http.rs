@@ -151,7 +151,7 @@ pub async fn analyze(
         };
         return Ok(events::stream("analysis", deadline, work));
     }
-    http.api.analyze(&caller, request, |_| {}).await?.respond(media)
+    http.api.analyze(&caller, request, |_| {}).await?.respond(media).await
 }
 
 /// Jacobian-vector products
@@ -187,7 +187,7 @@ pub async fn apply_jacobian_vector(
         }
         Sent::Arrays(arrays) => query.jvp(arrays, configuration_id)?,
     };
-    http.api.apply_jacobian_vector(&caller, request).await?.respond(media)
+    http.api.apply_jacobian_vector(&caller, request).await?.respond(media).await
 }
 
 /// Vector-Jacobian products: gradients
@@ -221,5 +221,5 @@ pub async fn apply_adjoint(
         Sent::Document(document) => v1::PanelServiceApplyAdjointRequest { configuration_id, ..document },
         Sent::Arrays(arrays) => query.vjp(arrays, configuration_id)?,
     };
-    http.api.apply_adjoint(&caller, request).await?.respond(media)
+    http.api.apply_adjoint(&caller, request).await?.respond(media).await
 }

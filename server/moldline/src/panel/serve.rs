@@ -4,14 +4,17 @@ use std::sync::Arc;
 
 use clap::Args;
 use metrics::gauge;
-use moldline_host::ComputePool;
+use moldline_host::{ComputePool, Supply};
 use moldline_panel_service::{PanelService, Status};
-use moldline_transport::{Gauges, Served};
+use moldline_transport::{Admission, Gauges, Served};
 
-use super::{api::PanelApi, grpc, http};
+use super::{
+    api::{self, PanelApi},
+    grpc, http,
+};
 use crate::{
     failure::Failure,
-    serve::record_cache,
+    serve::{record_cache, record_memory},
     shell::{self, ComputeOptions, ListenOptions, Parts, ServeError},
 };
 
@@ -24,20 +27,24 @@ pub struct PanelServeOptions {
     /// The compute pool.
     #[command(flatten)]
     pub compute: ComputeOptions,
-    /// Memory of all analyses, MiB, including those in progress; an analysis that needs more is refused
-    #[arg(long, env = "MOLDLINE_ANALYSIS_MEMORY", default_value_t = 4096, value_name = "MIB")]
-    pub analysis_memory: u64,
-    /// Memory of all configurations, MiB
-    #[arg(long, env = "MOLDLINE_CONFIGURATION_MEMORY", default_value_t = 512, value_name = "MIB")]
-    pub configuration_memory: u64,
+    /// Memory of all analyses, MiB, including those in progress; an analysis that needs more is refused [default: half of
+    /// --memory, 4096 at most]
+    #[arg(long, env = "MOLDLINE_ANALYSIS_MEMORY", value_name = "MIB")]
+    pub analysis_memory: Option<u64>,
+    /// Memory of all configurations, MiB [default: an eighth of --memory, 512 at most]
+    #[arg(long, env = "MOLDLINE_CONFIGURATION_MEMORY", value_name = "MIB")]
+    pub configuration_memory: Option<u64>,
 }
 
 impl PanelServeOptions {
     /// Limits of the service.
     pub fn limits(&self) -> moldline_panel_service::Limits {
+        let total = self.compute.memory();
+        let mebibytes =
+            |given: Option<u64>, usual: u64| given.map_or(usual, |given| given.saturating_mul(1 << 20));
         moldline_panel_service::Limits {
-            solution_bytes: self.analysis_memory.saturating_mul(1 << 20),
-            configuration_bytes: self.configuration_memory.saturating_mul(1 << 20),
+            solution_bytes: mebibytes(self.analysis_memory, (total / 2).min(4 << 30)),
+            configuration_bytes: mebibytes(self.configuration_memory, (total / 8).min(512 << 20)),
             ..Default::default()
         }
     }
@@ -46,8 +53,13 @@ impl PanelServeOptions {
 /// Serves until the process is asked to stop, then lets running requests finish.
 pub(crate) fn run(options: &PanelServeOptions) -> Result<(), Failure> {
     let pool = options.compute.pool();
-    let compute = ComputePool::new(pool, options.compute.tenant_load).map_err(ServeError::from)?;
-    let service = Arc::new(PanelService::new(Arc::new(compute), options.limits()));
+    let (limits, sharing) = (options.limits(), options.listen.sharing());
+    let cached = limits.solution_bytes.saturating_add(limits.configuration_bytes);
+    let working = shell::working_memory(options.compute.memory(), cached)?;
+    let memory = Supply::new("bytes of working memory", "--memory", working, sharing);
+    let compute =
+        ComputePool::sharing(pool, options.compute.tenant_load, sharing, memory).map_err(ServeError::from)?;
+    let service = Arc::new(PanelService::new(Arc::new(compute), limits));
     let runtime = shell::runtime()?;
     let outcome = runtime.block_on(async {
         tracing::info!(threads = pool.threads, running = pool.running, queued = pool.queued, "computing");
@@ -69,11 +81,15 @@ pub async fn parts(service: Arc<PanelService>, max_message: usize) -> Result<Par
         let service = Arc::clone(&service);
         Arc::new(move || {
             record(&service.status());
+            record_memory(service.memory());
             Box::pin(std::future::ready(()))
         })
     };
+    let pool = Arc::clone(&service);
+    let health = health.while_passes(move || pool.moving());
+    let admission = Admission { memory: Arc::clone(service.memory()), methods: api::method, max_message };
     let load = Arc::new(move || service.load());
-    Ok(Parts { served: Served { http, grpc, open }, health, gauges, load })
+    Ok(Parts { served: Served { http, grpc, open, admission }, health, gauges, load })
 }
 
 /// Records load and memory for /metrics.

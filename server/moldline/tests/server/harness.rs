@@ -6,7 +6,7 @@ use moldline::{panel, serve, shell::Parts, telemetry};
 use moldline_host::{ComputePool, PoolLimits};
 use moldline_mesh_service::{Limits, Service};
 use moldline_panel_service::PanelService;
-use moldline_transport::{Access, Health, Port, Surroundings, router, start_metrics};
+use moldline_transport::{Access, ConnectionLimits, Health, Port, Surroundings, Tls, router, start_metrics};
 use tokio::{
     io::{AsyncReadExt, AsyncWriteExt},
     net::TcpStream,
@@ -53,9 +53,12 @@ impl Server {
             gauges,
             trace: telemetry::follow,
             origins: vec!["https://example.org".parse().unwrap()],
+            local: true,
         };
         let app = router(served, surroundings);
-        let port = Port::bind(SocketAddr::from(([127, 0, 0, 1], 0)), tls).await.unwrap();
+        let limits = ConnectionLimits { total: 1000, of_peer: 1000 };
+        let port =
+            Port::bind(SocketAddr::from(([127, 0, 0, 1], 0)), tls.map(Tls::new), limits).await.unwrap();
         let address = port.address().unwrap();
         tokio::spawn(port.serve(app, std::future::pending()));
         Self { address, health }

@@ -12,7 +12,7 @@ use moldline_parameterisation::Parameterisation;
 use crate::{
     limits::Limits,
     linearisation::{Design, Resolved, Values},
-    service::{Service, too_many},
+    service::Service,
     setups::SetupView,
 };
 
@@ -80,12 +80,14 @@ impl Service {
         let request = request.resolve(setup.engine.parameterisation(), &self.limits)?;
         let key = (setup.id.clone(), format!("{request:?}"));
         let id = Some(setup.id.to_string());
-        let task = Task { kind: "check", tenant: caller.tenant.clone(), setup: id, session: None };
+        // Dual numbers of all steps, besides what the linearisation takes.
+        let memory = 4 * setup.engine.deformation_memory();
+        let task = Task { kind: "check", tenant: caller.tenant.clone(), setup: id, session: None, memory };
         let work = |reports: Reports<Product<Report>>| {
-            let place = Arc::clone(&self.check_permits).try_acquire_owned();
-            let (pool, limit) = (Arc::clone(&self.pool), self.limits.checks);
+            let place = self.check_places.take(&caller.tenant, "the check", 1);
+            let pool = Arc::clone(&self.pool);
             async move {
-                let _place = place.map_err(|_| too_many("checks", limit))?;
+                let _place = place?;
                 let work = move |ticket: &Ticket| {
                     let reporter = CheckReporter::new(ticket.cancellation().clone(), |progress| {
                         ticket.progress(&progress);

@@ -64,7 +64,10 @@ impl Service {
         let setup = self.session_setup(caller, session_id).await?;
         let design = Resolved::new(setup.engine.parameterisation(), design)?;
         let id = design.id(&setup.id);
-        let task = self.task("deform", caller, &setup, session_id);
+        let task = Task {
+            memory: setup.engine.deformation_memory(),
+            ..self.task("deform", caller, &setup, session_id)
+        };
         let linearised = Arc::new(linearise(&self.pool, task, setup, design, id).await?);
         keep(&self.linearisations, &caller.tenant, &linearised);
         Ok(linearised)
@@ -110,7 +113,10 @@ impl Service {
             let (cache, tenant) = (Arc::clone(&self.linearisations), caller.tenant.clone());
             move |linearised: &Arc<Linearised>| keep(&cache, &tenant, linearised)
         };
-        let task = self.task("linearise", caller, &setup, session_id);
+        let task = Task {
+            memory: setup.engine.deformation_memory(),
+            ..self.task("linearise", caller, &setup, session_id)
+        };
         let work = |_| {
             let pool = Arc::clone(&self.pool);
             async move { linearise(&pool, task, setup, design, id).await }
@@ -139,7 +145,8 @@ impl Service {
         at.check()?;
         let directions = directions.check(&setup.engine, &self.limits)?;
         let at = self.linearised(caller, session_id, at).await?;
-        let task = self.task("jvp", caller, &setup, session_id);
+        let memory = 4 * (at.value.vector_bytes() * directions.count()) as u64;
+        let task = Task { memory, ..self.task("jvp", caller, &setup, session_id) };
         self.product(task, at, move |linearised| linearised.jvp(&directions)).await
     }
 
@@ -161,7 +168,8 @@ impl Service {
         let wanted = wanted.check(setup.engine.parameterisation())?;
         let seeds = seeds.check(&setup.engine, &self.limits)?;
         let at = self.linearised(caller, session_id, at).await?;
-        let task = self.task("vjp", caller, &setup, session_id);
+        let memory = 4 * (at.value.vector_bytes() * seeds.len()) as u64;
+        let task = Task { memory, ..self.task("vjp", caller, &setup, session_id) };
         self.product(task, at, move |linearised| linearised.vjp(&seeds, &wanted)).await
     }
 
@@ -178,8 +186,11 @@ impl Service {
         caller.need(Role::User)?;
         let count = self.limits.vector_bytes / at.vector_bytes().max(1);
         let count = count.clamp(1, self.limits.vectors.max(1));
+        // The block, and the motion of the vertices in every step of the chain.
+        let memory = 4 * (at.vector_bytes() * count) as u64;
         let at = Product { value: Arc::clone(at), timing: Timing::default() };
-        let task = Task { kind: "jacobian", tenant: caller.tenant.clone(), setup: None, session: None };
+        let tenant = caller.tenant.clone();
+        let task = Task { kind: "jacobian", tenant, setup: None, session: None, memory };
         self.product(task, at, move |linearised| linearised.jacobian(first, count)).await
     }
 

@@ -37,7 +37,7 @@ mod upload;
 
 pub use moldline_check::Report as CheckReport;
 pub use moldline_setup_files::ArchiveKind;
-pub use moldline_store::{Store, StoreError};
+pub use moldline_store::{Health, Schedule, Store, StoreError};
 
 pub use access::{Access, Listed, Page, Session, SessionUpdate, SetupSummary, Visibility};
 pub use checks::{CheckAt, CheckRequest};
@@ -47,6 +47,7 @@ pub use linearisation::{
     ControlPointVectors, Design, Directions, Gradients, Linearised, Seeds, Values, Wanted,
 };
 pub use progress::reporter;
+pub use read::explained;
 pub use service::Service;
 pub use setup_cache::StoredSetup;
 pub use setup_id::SetupId;

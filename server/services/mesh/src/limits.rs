@@ -1,5 +1,8 @@
 //! Limits on requests and on the memory of the service. All are checked before anything is allocated.
 
+use moldline_host::Sharing;
+use moldline_store::Quota;
+
 /// Upper limits; the defaults suit a workstation.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Limits {
@@ -9,6 +12,10 @@ pub struct Limits {
     pub upload_files: usize,
     /// Uploads at a time.
     pub uploads: usize,
+    /// Working memory of requests under way, bytes: messages, uploads, builds, answers. Caches have their own.
+    pub memory: u64,
+    /// Whether tenants share places and memory, or one may take all.
+    pub sharing: Sharing,
     /// Bytes of one chunk.
     pub chunk_bytes: usize,
     /// Bytes of a path.
@@ -25,8 +32,13 @@ pub struct Limits {
     pub setups: usize,
     /// Open sessions of one tenant.
     pub sessions: usize,
-    /// Bytes of one tenant's set-ups in the store.
+    /// Bytes of one tenant's set-ups in the store, and of its sessions beyond what is free.
     pub stored_bytes: u64,
+    /// Tenants with which one set-up is shared by name.
+    pub shared_with: usize,
+    /// Whether a tenant's first upload of content that the server knows takes the time of its build, so that it does not tell
+    /// what others have.
+    pub hide_known: bool,
     /// Running and waiting tasks of one tenant.
     pub load: usize,
     /// Bytes of a label.
@@ -51,7 +63,9 @@ impl Default for Limits {
         Self {
             upload_bytes: 256 * MIB,
             upload_files: 1000,
-            uploads: 8,
+            uploads: 16,
+            memory: 4 << 30,
+            sharing: Sharing::Fair,
             chunk_bytes: 1 << 20,
             path_bytes: 1024,
             request_id_bytes: 128,
@@ -65,6 +79,8 @@ impl Default for Limits {
             setups: 1000,
             sessions: 1000,
             stored_bytes: 64 << 30,
+            shared_with: 256,
+            hide_known: true,
             load: 64,
             label_bytes: 256,
             setup_bytes: 4 << 30,
@@ -74,5 +90,12 @@ impl Default for Limits {
             checks: 1,
             check_designs: 16,
         }
+    }
+}
+
+impl Limits {
+    /// What one tenant may hold in the store.
+    pub(crate) fn quota(&self) -> Quota {
+        Quota { setups: self.setups, sessions: self.sessions, bytes: self.stored_bytes }
     }
 }

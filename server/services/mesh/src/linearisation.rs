@@ -3,11 +3,11 @@
 use std::{collections::BTreeMap, sync::Arc};
 
 use moldline_deform::{Deformation, Direction, Inputs, Linearisation, Monitor, Setup, Stage, Tangent};
-use moldline_host::{ServiceError, Timing, shorten};
+use moldline_host::{Code, ServiceError, Timing, shorten};
 use moldline_parameterisation::{ControlPoints, Override, Parameterisation};
 use moldline_store::Numbers;
 
-use crate::{limits::Limits, setup_id::SetupId};
+use crate::{limits::Limits, read::explained, setup_id::SetupId};
 
 /// A design: the input of a deformation.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -134,7 +134,7 @@ impl Resolved {
         setup: &Arc<Setup>,
         monitor: &dyn Monitor<Stage>,
     ) -> Result<Linearised, ServiceError> {
-        let engine = setup.linearise(self.0, monitor)?;
+        let engine = setup.linearise(self.0, monitor).map_err(|error| explained(setup.origin(), error))?;
         Ok(Linearised { id, setup_id, engine, timing: Timing::default() })
     }
 }
@@ -198,12 +198,12 @@ impl Linearised {
             direction[column] = 1.0;
             direction
         };
-        Ok(self.engine.jvp(&columns.map(unit).collect::<Vec<_>>())?)
+        finite(self.engine.jvp(&columns.map(unit).collect::<Vec<_>>())?)
     }
 
     /// Changes of the outputs.
     pub(crate) fn jvp(&self, directions: &CheckedDirections) -> Result<Vec<Tangent>, ServiceError> {
-        Ok(self.engine.jvp_inputs(&directions.0)?)
+        finite(self.engine.jvp_inputs(&directions.0)?)
     }
 
     /// Gradients with respect to the requested inputs.
@@ -215,6 +215,11 @@ impl Linearised {
         } else {
             (None, self.engine.vjp_control_points(seeds)?)
         };
+        let designs = design.iter().flatten().flatten();
+        let points = all.iter().flatten().flatten().flatten();
+        if !designs.chain(points).all(|x| x.is_finite()) {
+            return Err(overflow());
+        }
         let names = self.engine.setup().parameterisation().components();
         let of = |&component: &usize| ControlPointVectors {
             component: names[component].clone(),
@@ -224,8 +229,30 @@ impl Linearised {
     }
 }
 
+/// Products without overflow.
+fn finite(tangents: Vec<Tangent>) -> Result<Vec<Tangent>, ServiceError> {
+    let mut numbers =
+        tangents.iter().flat_map(|tangent| tangent.vertices.as_flattened().iter().chain(&tangent.functions));
+    match numbers.all(|x| x.is_finite()) {
+        true => Ok(tangents),
+        false => Err(overflow()),
+    }
+}
+
+fn overflow() -> ServiceError {
+    const MESSAGE: &str = "the product overflows: directions or seeds are too large; products are linear in them, so scale them down";
+    ServiceError::new(Code::FailedPrecondition, MESSAGE)
+}
+
 /// Directions that have been checked against the set-up.
 pub(crate) struct CheckedDirections(Vec<Direction>);
+
+impl CheckedDirections {
+    /// Their number.
+    pub(crate) fn count(&self) -> usize {
+        self.0.len()
+    }
+}
 
 impl Directions {
     /// # Errors

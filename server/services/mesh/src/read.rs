@@ -2,7 +2,8 @@
 
 use bytes::Bytes;
 use moldline_deform::SetupInput;
-use moldline_host::ServiceError;
+use moldline_host::{ServiceError, Share};
+use moldline_mesh::Origin;
 use moldline_setup_files::{Files, SetupContent, read_setup, unpack};
 use moldline_store::Manifest;
 
@@ -30,20 +31,48 @@ pub struct Content {
     pub files: Vec<(String, Vec<u8>)>,
 }
 
-/// Reads an upload.
+/// An error of the engine for the user of a mesh file: behind the indices of vertices and cells come their numbers in the file.
+pub fn explained(origin: &Origin, error: impl Into<ServiceError>) -> ServiceError {
+    error.into().reworded(|text| origin.explain(text))
+}
+
+/// An estimate of the memory that reading a file takes besides its bytes: syntax trees, documents, arrays.
+pub fn memory(path: &str, bytes: u64) -> u64 {
+    let times = match path.rsplit('.').next().unwrap_or_default() {
+        // The tree of a document of short lists, as measured.
+        "toml" => 36,
+        "json" => 12,
+        _ => 8,
+    };
+    times * bytes
+}
+
+/// Reads an upload. `memory` is what has been taken for its bytes, and grows by what it is unpacked and read to.
 ///
 /// # Errors
-/// `InvalidArgument` naming the invalid field of the set-up.
-pub fn uploaded(uploaded: Uploaded, limits: &Limits) -> Result<Content, ServiceError> {
-    let Uploaded { header, mut contents } = uploaded;
+/// `InvalidArgument` naming the invalid field of the set-up, `ResourceExhausted` if there is no memory for it.
+pub fn uploaded(uploaded: Uploaded, limits: &Limits, memory: &mut Share) -> Result<Content, ServiceError> {
+    /// What deflate makes of a byte at most, and a little.
+    const INFLATED: u64 = 1100;
+    let received = uploaded.bytes();
+    let Uploaded { header, mut contents, .. } = uploaded;
     let files: Files = match header.source {
         UploadSource::Files(files) => files.into_iter().map(|file| file.path).zip(contents).collect(),
         // An archive is received as one file.
         UploadSource::Archive { kind, .. } => {
-            unpack(kind, &contents.pop().unwrap_or_default(), &file_limits(limits))?
+            memory.grow("the archive", limits.unpacked_bytes.min(received.saturating_mul(INFLATED)))?;
+            let files = unpack(kind, &contents.pop().unwrap_or_default(), &file_limits(limits))?;
+            memory.shrink(files.values().map(|content| content.len() as u64).sum());
+            files
         }
     };
-    read(files, header.setup_file.as_deref(), limits)
+    let held = memory.amount();
+    let reading = files.iter().map(|(path, content)| self::memory(path, content.len() as u64)).sum();
+    memory.grow("reading the files", reading)?;
+    let content = read(files, header.setup_file.as_deref(), limits)?;
+    // The engine's input is about as large.
+    memory.shrink(2 * held);
+    Ok(content)
 }
 
 /// Reads the stored files of a set-up, which have been verified against its id.
@@ -58,7 +87,7 @@ pub fn stored(files: Vec<(String, Bytes)>, limits: &Limits) -> Result<Read, Serv
 }
 
 fn read(mut files: Files, setup_file: Option<&str>, limits: &Limits) -> Result<Content, ServiceError> {
-    let SetupContent { name, input, files: used } = read_setup(&files, setup_file, &file_limits(limits))?;
+    let SetupContent { name, input, files: used, .. } = read_setup(&files, setup_file, &file_limits(limits))?;
     // A file to which the set-up refers twice is kept once.
     let used: Vec<(String, Vec<u8>)> =
         used.into_iter().filter_map(|path| files.remove_entry(&path)).collect();

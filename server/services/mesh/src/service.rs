@@ -1,10 +1,7 @@
 //! The service: its state, and what all its methods share. The methods are in `setups`, `sessions`, `derivatives`, `checks` and
 //! `status`.
 
-use std::{
-    sync::Arc,
-    time::{Duration, Instant},
-};
+use std::{sync::Arc, time::Instant};
 
 use futures::{
     Stream, StreamExt, TryStreamExt, future,
@@ -12,10 +9,10 @@ use futures::{
 };
 use moldline_check::Report;
 use moldline_host::{
-    Cache, Code, ComputePool, Flights, PoolLimits, Principal, Product, ServiceError, Task, Tenant, shorten,
+    Cache, Code, ComputePool, Flights, PoolLimits, Principal, Product, ServiceError, Supply, Task, Tenant,
+    shorten,
 };
-use moldline_store::{Claim, Store};
-use tokio::sync::Semaphore;
+use moldline_store::{Excess, Store};
 
 use crate::{
     access::{Listed, Page},
@@ -24,6 +21,7 @@ use crate::{
     session_index::SessionIndex,
     setup_cache::{SetupCache, StoredSetup},
     setup_id::SetupId,
+    status::Figures,
 };
 
 /// Records read from the store at a time.
@@ -36,16 +34,17 @@ pub struct Service {
     pub(crate) started: Instant,
     pub(crate) store: Store,
     pub(crate) pool: Arc<ComputePool>,
-    /// One permit for each upload that may be in progress.
-    pub(crate) uploads: Semaphore,
+    /// Places of uploads.
+    pub(crate) uploads: Arc<Supply>,
     pub(crate) setups: SetupCache,
     pub(crate) sessions: SessionIndex,
+    pub(crate) figures: Arc<Figures>,
     /// Linearisations by tenant and id.
     pub(crate) linearisations: Arc<Cache<(Tenant, String), Linearised>>,
     /// Linearisations that are being computed for products.
     pub(crate) linearising: Flights<(Tenant, String), Linearised>,
-    /// One permit for each check that may run.
-    pub(crate) check_permits: Arc<Semaphore>,
+    /// Places of checks.
+    pub(crate) check_places: Arc<Supply>,
     /// Checks in progress, by set-up and request.
     pub(crate) checks: Flights<(SetupId, String), Product<Report>>,
 }
@@ -68,15 +67,18 @@ impl Service {
         pool: PoolLimits,
         limits: Limits,
     ) -> Result<Self, rayon::ThreadPoolBuildError> {
-        let pool = Arc::new(ComputePool::new(pool, limits.load)?);
+        let sharing = limits.sharing;
+        let memory = Supply::new("bytes of working memory", "--memory", limits.memory, sharing);
+        let pool = Arc::new(ComputePool::sharing(pool, limits.load, sharing, memory)?);
         Ok(Self {
             started: Instant::now(),
-            uploads: Semaphore::new(limits.uploads),
+            uploads: Supply::new("uploads at a time", "--uploads", limits.uploads as u64, sharing),
             setups: SetupCache::new(store.clone(), Arc::clone(&pool), &limits),
             sessions: SessionIndex::new(store.clone()),
+            figures: Arc::default(),
             linearisations: Arc::new(Cache::new(limits.linearisation_bytes as u64)),
             linearising: Flights::default(),
-            check_permits: Arc::new(Semaphore::new(limits.checks)),
+            check_places: Supply::new("checks at a time", "--checks", limits.checks as u64, sharing),
             checks: Flights::default(),
             pool,
             store,
@@ -87,6 +89,19 @@ impl Service {
     /// The limits in force.
     pub fn limits(&self) -> &Limits {
         &self.limits
+    }
+
+    /// The working memory.
+    pub fn memory(&self) -> &Arc<Supply> {
+        self.pool.memory()
+    }
+
+    /// Whether the pool gets work done.
+    ///
+    /// # Errors
+    /// As [`ComputePool::moving`].
+    pub fn moving(&self) -> Result<(), String> {
+        self.pool.moving()
     }
 
     /// Number of running and waiting tasks.
@@ -107,41 +122,39 @@ impl Service {
             tenant: caller.tenant.clone(),
             setup: Some(setup.id.to_string()),
             session: Some(session_id.to_owned()),
+            memory: 0,
         }
     }
 
-    /// Binds a request id to the content of its request; whether the same request came before.
-    pub(crate) async fn claim(
-        &self,
-        caller: &Principal,
-        request_id: &str,
-        request: &[&str],
-    ) -> Result<bool, ServiceError> {
-        let limit = self.limits.request_id_bytes;
-        if request_id.len() > limit {
-            let length = request_id.len();
-            return Err(ServiceError::invalid(
-                "request_id",
-                format!("{length} bytes are more than the limit of {limit}"),
-            ));
+    /// Rejects a request id that is too long.
+    pub(crate) fn check_request_id(&self, request_id: &str) -> Result<(), ServiceError> {
+        let (length, limit) = (request_id.len(), self.limits.request_id_bytes);
+        if length <= limit {
+            return Ok(());
         }
-        let mut hasher = blake3::Hasher::new();
-        for part in request {
-            hasher.update(&(part.len() as u64).to_le_bytes());
-            hasher.update(part.as_bytes());
-        }
-        let hash = hasher.finalize().to_hex();
-        match self.store.claim(caller.tenant.as_str(), request_id, hash.as_str()).await? {
-            Claim::New => Ok(false),
-            Claim::Repeated => Ok(true),
-            Claim::Taken => Err(ServiceError::new(Code::AlreadyExists, "").at(
-                "request_id",
-                format!(
-                    "`{}` named a request with other content before; choose a new one",
-                    shorten(request_id)
-                ),
-            )),
-        }
+        Err(ServiceError::invalid("request_id", format!("{length} bytes are more than the limit of {limit}")))
+    }
+
+    /// The error that a tenant holds as much as it may. `more`: bytes that were to be added.
+    pub(crate) fn exceeds(&self, excess: Excess, more: u64) -> ServiceError {
+        let Limits { setups, sessions, stored_bytes, .. } = self.limits;
+        let message = match excess {
+            Excess::Sessions(open) => {
+                format!("{open} of your sessions are open, and the limit is {sessions}; close some")
+            }
+            Excess::Setups(held) => {
+                format!("you have {held} set-ups, and the limit is {setups}; delete some")
+            }
+            Excess::Bytes(held) => format!(
+                "your set-ups and sessions have {held} bytes, and {more} more exceed the limit of {stored_bytes}; delete some"
+            ),
+            Excess::Deleted(held) => format!(
+                "{} set-ups of {} bytes that you deleted are not collected yet, which is the limit; wait for the next \
+                 collection of the store",
+                held.count, held.bytes
+            ),
+        };
+        ServiceError::new(Code::ResourceExhausted, message)
     }
 
     /// As many of `entries` as fit a page.
@@ -161,13 +174,28 @@ impl Service {
     }
 }
 
-/// The names from the first one of a page on.
-pub(crate) fn after(names: Vec<String>, page: &Page) -> Iter<impl Iterator<Item = String>> {
-    let token = page.token.clone();
-    stream::iter(names.into_iter().filter(move |name| *name > token))
+/// The hash by which a repeated request is recognised.
+pub(crate) fn request_hash(request: &[&str]) -> String {
+    let mut hasher = blake3::Hasher::new();
+    for part in request {
+        hasher.update(&(part.len() as u64).to_le_bytes());
+        hasher.update(part.as_bytes());
+    }
+    hasher.finalize().to_hex().to_string()
 }
 
-pub(crate) fn too_many(what: &str, limit: usize) -> ServiceError {
-    let message = format!("the limit of {limit} {what} at a time is reached; try again later");
-    ServiceError::new(Code::ResourceExhausted, message).retry_after(Duration::from_secs(1))
+/// The error that a request id named another request before.
+pub(crate) fn taken(request_id: &str) -> ServiceError {
+    let request_id = shorten(request_id);
+    let text = format!("`{request_id}` named a request with other content before; choose a new one");
+    ServiceError::new(Code::AlreadyExists, "").at("request_id", text)
+}
+
+/// The names from the first one of a page on.
+pub(crate) fn after(
+    names: impl IntoIterator<Item = String>,
+    page: &Page,
+) -> Iter<impl Iterator<Item = String>> {
+    let token = page.token.clone();
+    stream::iter(names.into_iter().filter(move |name| *name > token))
 }

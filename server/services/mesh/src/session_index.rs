@@ -7,7 +7,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use moldline_host::{ServiceError, Tenant};
+use moldline_host::{Code, ServiceError, Tenant};
 use moldline_store::{Generation, Numbers, SessionRecord, Store, StoreError};
 
 use crate::{
@@ -39,10 +39,11 @@ impl SessionIndex {
         Self { store, known: Mutex::default() }
     }
 
-    /// Id of the set-up of an open session.
+    /// Id of the set-up of an open session, which its tenant may use.
     ///
     /// # Errors
-    /// `NotFound`; if the store does not answer, for sessions that were not found before.
+    /// `NotFound`, `PermissionDenied` if the set-up is not shared any more; if the store does not answer, for sessions that
+    /// were not found before.
     pub async fn setup_of(&self, tenant: &Tenant, id: &str) -> Result<String, ServiceError> {
         let key = (tenant.clone(), id.to_owned());
         let known = self.lock().get(&key).cloned();
@@ -51,10 +52,19 @@ impl SessionIndex {
         {
             return Ok(known.setup.clone());
         }
-        match (self.latest(tenant, id).await, known) {
-            (Ok(Some(latest)), _) => {
+        let latest = match self.latest(tenant, id).await {
+            Ok(Some(latest)) => self.may_use(tenant, &latest.record).await.map(|may| Some((latest, may))),
+            Ok(None) => Ok(None),
+            Err(error) => Err(error),
+        };
+        match (latest, known) {
+            (Ok(Some((latest, true))), _) => {
                 self.remember(key, &latest.record.setup);
                 Ok(latest.record.setup)
+            }
+            (Ok(Some((latest, false))), _) => {
+                self.lock().remove(&key);
+                Err(no_longer_shared(&latest.record.setup))
             }
             (Ok(None), _) => {
                 self.lock().remove(&key);
@@ -72,6 +82,28 @@ impl SessionIndex {
         }
     }
 
+    /// Whether a tenant may still use the set-up of its session: it has uploaded the same content itself, before or after it
+    /// opened the session, or the set-up is shared with it. Sessions of older versions do not say, and go on.
+    async fn may_use(&self, tenant: &Tenant, record: &SessionRecord) -> Result<bool, StoreError> {
+        let (tenant, setup) = (tenant.as_str(), record.setup.as_str());
+        Ok(record.own
+            || record.opened.is_empty()
+            || self.store.access_or_damage(tenant, setup).await?.is_some()
+            || self.store.granted(tenant, setup).await?.is_some())
+    }
+
+    /// The last generation of an open session whose set-up its tenant may use.
+    ///
+    /// # Errors
+    /// `NotFound`, `PermissionDenied` if the set-up is not shared any more, or if the store does not answer.
+    pub async fn usable(&self, tenant: &Tenant, id: &str) -> Result<Generation<SessionRecord>, ServiceError> {
+        let latest = self.get(tenant, id).await?;
+        match self.may_use(tenant, &latest.record).await? {
+            true => Ok(latest),
+            false => Err(no_longer_shared(&latest.record.setup)),
+        }
+    }
+
     /// The last generation of an open session.
     ///
     /// # Errors
@@ -80,13 +112,14 @@ impl SessionIndex {
         self.latest(tenant, id).await?.ok_or_else(|| ServiceError::not_found("session", id))
     }
 
-    /// Checks that there is an open session of that id, possibly with a damaged record.
+    /// The hash of the request that opened a session, which may have a damaged record.
     ///
     /// # Errors
     /// `NotFound`, or if the store does not answer.
-    pub async fn find(&self, tenant: &Tenant, id: &str) -> Result<(), ServiceError> {
+    pub async fn opened_by(&self, tenant: &Tenant, id: &str) -> Result<String, ServiceError> {
         match self.latest(tenant, id).await {
-            Ok(Some(_)) | Err(StoreError::Corrupt { .. }) => Ok(()),
+            Ok(Some(latest)) => Ok(latest.record.opened),
+            Err(StoreError::Corrupt { .. }) => Ok(String::new()),
             Ok(None) => Err(ServiceError::not_found("session", id)),
             Err(error) => Err(error.into()),
         }
@@ -124,6 +157,12 @@ impl SessionIndex {
     fn lock(&self) -> MutexGuard<'_, HashMap<(Tenant, String), Known>> {
         self.known.lock().unwrap_or_else(PoisonError::into_inner)
     }
+}
+
+fn no_longer_shared(setup: &str) -> ServiceError {
+    let text =
+        format!("set-up {setup} is not shared with you any more; ask its owner, or upload it yourself");
+    ServiceError::new(Code::PermissionDenied, text)
 }
 
 /// The id of the session that a request opens: the same for the same request id, a new one for an empty one.

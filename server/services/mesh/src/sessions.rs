@@ -4,14 +4,15 @@ use std::{sync::Arc, time::SystemTime};
 
 use futures::StreamExt;
 use moldline_host::{Code, Principal, Role, ServiceError};
-use moldline_store::{Generation, SessionRecord, unless_damaged};
+use moldline_store::{Generation, Kind, Reservation, SessionRecord, Update, unless_damaged};
 
 use crate::{
     access::{Listed, Page, Session, SessionUpdate},
     linearisation::{Design, Resolved},
-    service::{AT_ONCE, Service, after},
+    service::{AT_ONCE, Service, after, request_hash, taken},
     session_index::{id_for, view},
     setup_cache::StoredSetup,
+    setups::SetupView,
 };
 
 impl Service {
@@ -29,32 +30,20 @@ impl Service {
     ) -> Result<Session, ServiceError> {
         caller.need(Role::User)?;
         self.check_label(label)?;
+        self.check_request_id(request_id)?;
         let tenant = &caller.tenant;
-        let setup = self.get_setup(caller, setup_id).await?.setup;
-        let repeated = self.claim(caller, request_id, &["session", setup_id, label]).await?;
-        let id = id_for(tenant, request_id);
-        if repeated {
-            if let Some(session) = self.store.session(tenant.as_str(), &id).await? {
-                return Ok(view(&id, session));
-            }
-            if self.store.session_at(tenant.as_str(), &id, 1).await?.is_some() {
-                // It has been opened: by a copy of the same request in between, or it is closed by now.
-                return match self.store.session(tenant.as_str(), &id).await? {
-                    Some(session) => Ok(view(&id, session)),
-                    None => Err(ServiceError::not_found("session", &id)),
-                };
-            }
-        }
-        let (open, limit) = (self.store.sessions(tenant.as_str()).await?.len(), self.limits.sessions);
-        if open >= limit {
-            let message = format!("{open} of your sessions are open, which is the limit; close some");
-            return Err(ServiceError::new(Code::ResourceExhausted, message));
+        let SetupView { setup, access } = self.get_setup(caller, setup_id).await?;
+        let (id, opened) = (id_for(tenant, request_id), request_hash(&["session", setup_id, label]));
+        if !request_id.is_empty()
+            && let Some(session) = self.opened_before(caller, &id, request_id, &opened).await?
+        {
+            return Ok(session);
         }
         let parameterisation = setup.engine.parameterisation();
         let (design, control_points) =
             Resolved::new(parameterisation, Design::default())?.numbers(parameterisation);
         let now = SystemTime::now();
-        let record = SessionRecord {
+        let mut record = SessionRecord {
             setup: setup_id.to_owned(),
             design,
             control_points,
@@ -62,14 +51,57 @@ impl Service {
             created: now,
             updated: now,
             request: request_id.to_owned(),
+            opened,
+            updates: Vec::new(),
+            own: access.owned,
+            charged: 0,
         };
-        let latest = match self.store.put_session(tenant.as_str(), &id, 1, &record).await? {
-            true => Generation { number: 1, record },
-            // A concurrent copy of the same request.
-            false => self.sessions.get(tenant, &id).await?,
-        };
+        record.charged = record.charge();
+        let place = self.reserve_session(caller, &id, record.charged).await?;
+        if !self.store.put_session(tenant.as_str(), &id, 1, &record).await? {
+            // A concurrent copy of the same request was faster.
+            let found = self.opened_before(caller, &id, request_id, &record.opened).await?;
+            return found.ok_or_else(|| ServiceError::not_found("session", &id));
+        }
+        place.keep();
         self.sessions.opened(tenant, &id, setup_id);
-        Ok(view(&id, latest))
+        Ok(view(&id, Generation { number: 1, record }))
+    }
+
+    /// The session that the same request opened before, if it did.
+    async fn opened_before(
+        &self,
+        caller: &Principal,
+        id: &str,
+        request_id: &str,
+        opened: &str,
+    ) -> Result<Option<Session>, ServiceError> {
+        let tenant = caller.tenant.as_str();
+        // Records of older versions do not say by which request.
+        let same = |known: &str| known.is_empty() || known == opened;
+        if let Some(latest) = self.store.session(tenant, id).await? {
+            return match same(&latest.record.opened) {
+                true => Ok(Some(view(id, latest))),
+                false => Err(taken(request_id)),
+            };
+        }
+        match self.store.closed_session(tenant, id).await? {
+            Some(known) if same(&known) => Err(ServiceError::not_found("session", id)),
+            Some(_) => Err(taken(request_id)),
+            None => Ok(None),
+        }
+    }
+
+    /// Reserves a place, or more bytes, for a session.
+    async fn reserve_session(
+        &self,
+        caller: &Principal,
+        id: &str,
+        bytes: u64,
+    ) -> Result<Reservation, ServiceError> {
+        let quota = self.limits.quota();
+        let place = self.store.reserve(caller.tenant.as_str(), Kind::Session, id, bytes, &quota).await?;
+        place.map_err(|excess| self.exceeds(excess, bytes))
     }
 
     fn check_label(&self, label: &str) -> Result<(), ServiceError> {
@@ -98,7 +130,8 @@ impl Service {
         page: &Page,
     ) -> Result<Listed<Session>, ServiceError> {
         let tenant = caller.tenant.as_str();
-        let found = after(self.store.sessions(tenant).await?, page).map(|id| async move {
+        let open = self.store.entries(tenant, Kind::Session).await?.into_keys();
+        let found = after(open, page).map(|id| async move {
             let latest = unless_damaged(self.store.session(tenant, &id).await)?;
             Ok(latest.map(|latest| Session { design: None, ..view(&id, latest) }))
         });
@@ -122,16 +155,24 @@ impl Service {
         if let Some(label) = &update.label {
             self.check_label(label)?;
         }
-        let Generation { number, mut record } = self.sessions.get(tenant, id).await?;
+        self.check_request_id(&update.request_id)?;
+        let Generation { number, mut record } = self.sessions.usable(tenant, id).await?;
         let setup = self.resident(caller, id, &record.setup).await?;
         let parameterisation = setup.engine.parameterisation();
         let design = update.design.map(|design| Resolved::new(parameterisation, design)).transpose()?;
         let design = design.map(|design| design.numbers(parameterisation));
         let label = update.label;
-        let request = [id, &expected.to_string(), &format!("{design:?}"), &format!("{label:?}")];
-        self.claim(caller, &update.request_id, &request).await?;
-
         let next = expected.saturating_add(1);
+        let this = Update {
+            id: request_hash(&[&update.request_id]),
+            content: request_hash(&[&expected.to_string(), &format!("{design:?}"), &format!("{label:?}")]),
+            generation: next,
+        };
+        let recognised = !update.request_id.is_empty();
+        let known = record.updates.iter().find(|known| recognised && known.id == this.id);
+        if known.is_some_and(|known| *known != this) {
+            return Err(taken(&update.request_id));
+        }
         if number == expected {
             if let Some((design, control_points)) = design {
                 (record.design, record.control_points) = (design, control_points);
@@ -141,14 +182,24 @@ impl Service {
             }
             record.updated = SystemTime::now();
             record.request = update.request_id.clone();
+            if recognised {
+                record.note(this.clone());
+            }
+            let charge = record.charge();
+            let more = match charge > record.charged {
+                true => Some(self.reserve_session(caller, id, charge).await?),
+                false => None,
+            };
+            record.charged = charge;
             if self.store.put_session(tenant.as_str(), id, next, &record).await? {
+                more.into_iter().for_each(Reservation::keep);
                 return Ok(view(id, Generation { number: next, record }));
             }
         }
-        // This request may have been carried out before.
-        if !update.request_id.is_empty()
+        // This request may have been carried out before, or a concurrent copy of it.
+        if recognised
             && let Some(record) = self.store.session_at(tenant.as_str(), id, next).await?
-            && record.request == update.request_id
+            && record.updates.contains(&this)
         {
             return Ok(view(id, Generation { number: next, record }));
         }
@@ -165,8 +216,8 @@ impl Service {
     /// `NotFound`, `PermissionDenied` to readers, `Unavailable` if it cannot be stored.
     pub async fn close_session(&self, caller: &Principal, id: &str) -> Result<(), ServiceError> {
         caller.need(Role::User)?;
-        self.sessions.find(&caller.tenant, id).await?;
-        self.store.close_session(caller.tenant.as_str(), id).await?;
+        let opened = self.sessions.opened_by(&caller.tenant, id).await?;
+        self.store.close_session(caller.tenant.as_str(), id, &opened).await?;
         self.sessions.closed(&caller.tenant, id);
         Ok(())
     }

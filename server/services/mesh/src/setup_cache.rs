@@ -16,7 +16,7 @@ use moldline_store::Store;
 use crate::{
     limits::Limits,
     progress::{progress, reporter},
-    read::{self, Content, Read},
+    read::{self, Content, Read, explained},
     setup_id::SetupId,
 };
 
@@ -36,6 +36,12 @@ pub struct StoredSetup {
 }
 
 impl StoredSetup {
+    /// Time from its content to the answer, for tenants to which it is new: a bit longer than the build, so that storing it is
+    /// covered too.
+    pub(crate) fn answer_time(&self) -> Duration {
+        self.build_time + self.build_time / 10 + Duration::from_millis(20)
+    }
+
     /// The set-up report as a JSON document.
     pub fn report_json(&self) -> String {
         moldline_setup_files::report_json(self.engine.report()).to_string()
@@ -61,7 +67,8 @@ impl SetupCache {
         Self { store, pool, limits: limits.clone(), cache, flights: Flights::default() }
     }
 
-    /// The set-up of an upload, built now if it is not in memory.
+    /// The set-up of an upload, built now if it is not in memory. With `hide`, one that is known already is answered, and
+    /// reports, as if it were built now.
     ///
     /// # Errors
     /// Those of the engine, and `ResourceExhausted` if the pool is full.
@@ -69,23 +76,41 @@ impl SetupCache {
         &self,
         tenant: &Tenant,
         content: Content,
+        hide: bool,
         mut tell: impl FnMut(Progress),
     ) -> Result<Arc<StoredSetup>, ServiceError> {
+        let began = Instant::now();
         self.make_room()?;
         let id = content.id.to_string();
+        let known = hide && self.store.has_derived(&id, BUILD).await.unwrap_or(false);
         let (store, pool, tenant) = (self.store.clone(), Arc::clone(&self.pool), tenant.clone());
         let Content { id: name, read, .. } = content;
         let work = |reports: Reports<StoredSetup>| async move {
             make(&store, &pool, tenant, name, future::ready(Ok(read)), reports).await
         };
-        match self.flights.join(id.clone(), || self.cache.get(&id), work, self.keep(&id)) {
+        let mut held = Vec::new();
+        let setup = match self.flights.join(id.clone(), || self.cache.get(&id), work, self.keep(&id)) {
             Joined::Found(setup) => {
                 // The same reports as from a build.
-                moldline_deform::Stage::OF_SETUP.iter().for_each(|&stage| tell(progress(stage, 1.0)));
-                Ok(setup)
+                held.extend(moldline_deform::Stage::OF_SETUP.iter().map(|&stage| progress(stage, 1.0)));
+                setup
             }
-            Joined::Following(follower) | Joined::Started(follower) => follower.wait(tell).await,
+            Joined::Following(follower) if hide => follower.wait(|step| held.push(step)).await?,
+            Joined::Started(follower) if known => follower.wait(|step| held.push(step)).await?,
+            Joined::Following(follower) | Joined::Started(follower) => return follower.wait(tell).await,
+        };
+        let left = match hide {
+            true => setup.build_time.saturating_sub(began.elapsed()),
+            false => Duration::ZERO,
+        };
+        let pause = left / (held.len() as u32 + 1);
+        for step in held {
+            if !pause.is_zero() {
+                tokio::time::sleep(pause).await;
+            }
+            tell(step);
         }
+        Ok(setup)
     }
 
     /// The set-up of that id, loaded now if it is not in memory; `None` if the store has none.
@@ -100,7 +125,9 @@ impl SetupCache {
         let Some(files) = self.store.setup(id).await? else { return Ok(None) };
         let (store, pool) = (self.store.clone(), Arc::clone(&self.pool));
         let (tenant, limits) = (tenant.clone(), self.limits.clone());
-        let task = Task { kind: "load", tenant: tenant.clone(), setup: Some(id.to_owned()), session: None };
+        let memory = files.iter().map(|(path, content)| read::memory(path, content.len() as u64)).sum();
+        let task =
+            Task { kind: "load", tenant: tenant.clone(), setup: Some(id.to_owned()), session: None, memory };
         let name = SetupId::new(id.to_owned());
         let work = |reports: Reports<StoredSetup>| async move {
             let read = async { Ok(pool.run(task, move |_| read::stored(files, &limits)).await?.value) };
@@ -152,7 +179,13 @@ async fn make(
         None
     });
     let stored_as = id.clone();
-    let task = Task { kind: "build", tenant, setup: Some(id.to_string()), session: None };
+    let task = Task {
+        kind: "build",
+        tenant,
+        setup: Some(id.to_string()),
+        session: None,
+        memory: input.build_memory(),
+    };
     let (setup, derived) = pool
         .run(task, move |ticket| {
             let start = Instant::now();
@@ -161,12 +194,14 @@ async fn make(
                 reports.tell(progress);
             });
             let known = stored.and_then(|stored| Known::read(&stored));
+            let origin = Arc::clone(&input.origin);
+            let explain = |error| explained(&origin, error);
             let (engine, build_time, derived) = match known {
                 Some(Known { build_time, derived }) => {
-                    (Setup::restore(input, derived, &reporter)?, build_time, None)
+                    (Setup::restore(input, derived, &reporter).map_err(explain)?, build_time, None)
                 }
                 None => {
-                    let engine = Setup::build(input, &reporter)?;
+                    let engine = Setup::build(input, &reporter).map_err(explain)?;
                     let build_time = start.elapsed();
                     let known = Known { build_time, derived: engine.derived() };
                     (engine, build_time, Some(known.write()))

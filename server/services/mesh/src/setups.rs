@@ -1,19 +1,22 @@
 //! Methods of set-ups: upload, build, list, share, delete.
 
-use std::{sync::Arc, time::SystemTime};
+use std::{
+    sync::Arc,
+    time::{Instant, SystemTime},
+};
 
 use futures::StreamExt;
-use moldline_host::{Code, Principal, Progress, Role, ServiceError, Task, Tenant};
-use moldline_store::{AccessRecord, Shared, StoreError, unless_damaged};
+use moldline_host::{Principal, Progress, Role, ServiceError, Share, Task, Tenant, Ticket};
+use moldline_store::{AccessRecord, Claim, Kind, Reservation, Shared, StoreError, unless_damaged};
 
 use crate::{
     access::{Access, Listed, Page, SetupSummary, Visibility},
     limits::Limits,
     read,
-    service::{AT_ONCE, Service, after, too_many},
+    service::{AT_ONCE, Service, after, request_hash, taken},
     setup_cache::StoredSetup,
     setup_id::SetupId,
-    upload::{Upload, UploadHeader, Uploaded},
+    upload::{Upload, UploadHeader, Uploaded, check_visibility},
 };
 
 /// The answer to an upload.
@@ -41,7 +44,8 @@ pub struct SetupView {
 pub struct Receiving<'a> {
     upload: Upload,
     limits: &'a Limits,
-    _place: tokio::sync::SemaphorePermit<'a>,
+    memory: Share,
+    _place: Share,
 }
 
 impl Service {
@@ -52,9 +56,10 @@ impl Service {
     /// `PermissionDenied` to readers.
     pub fn receive(&self, caller: &Principal, header: UploadHeader) -> Result<Receiving<'_>, ServiceError> {
         caller.need(Role::User)?;
-        let place = self.uploads.try_acquire().map_err(|_| too_many("uploads", self.limits.uploads))?;
+        let place = self.uploads.take(&caller.tenant, "the upload", 1)?;
+        let memory = self.memory().take(&caller.tenant, "the upload", 0)?;
         let upload = Upload::begin(header, &self.limits)?;
-        Ok(Receiving { upload, limits: &self.limits, _place: place })
+        Ok(Receiving { upload, limits: &self.limits, memory, _place: place })
     }
 
     /// Builds an uploaded set-up, or finds the one with the same content, and stores it. Dropping the future abandons it; the
@@ -66,7 +71,7 @@ impl Service {
     pub async fn create_setup(
         &self,
         caller: &Principal,
-        uploaded: Uploaded,
+        mut uploaded: Uploaded,
         mut tell: impl FnMut(Progress),
     ) -> Result<Created, ServiceError> {
         caller.need(Role::User)?;
@@ -75,41 +80,53 @@ impl Service {
         let request_id = uploaded.header.request_id.clone();
         let visibility = uploaded.header.visibility.clone();
         let limits = self.limits.clone();
-        let task = Task { kind: "read", tenant: tenant.clone(), setup: None, session: None };
-        let mut content = self.pool.run(task, move |_| read::uploaded(uploaded, &limits)).await?.value;
+        let mut memory = match uploaded.memory.take() {
+            Some(memory) => memory,
+            None => self.memory().take(tenant, "the upload", uploaded.bytes())?,
+        };
+        let task = Task { kind: "read", tenant: tenant.clone(), setup: None, session: None, memory: 0 };
+        let read = move |_: &Ticket| Ok((read::uploaded(uploaded, &limits, &mut memory)?, memory));
+        // Held until the set-up is stored.
+        let (mut content, _memory) = self.pool.run(task, read).await?.value;
         let id = content.id.to_string();
         tell(Progress { stage: "read", fraction: 1.0, message: format!("set-up {id}") });
 
-        self.claim(caller, &request_id, &["setup", &id, &format!("{visibility:?}")]).await?;
+        let request = request_hash(&["setup", &id, &format!("{visibility:?}")]);
+        if self.store.claim(tenant.as_str(), &request_id, &request).await? == Claim::Taken {
+            return Err(taken(&request_id));
+        }
+        let began = Instant::now();
         let bytes: u64 = content.files.iter().map(|(_, file)| file.len() as u64).sum();
         let known = self.store.access_or_damage(tenant.as_str(), &id).await?.map(|known| known.record);
-        if !matches!(known, Some(Ok(record)) if record.owned) {
-            self.check_quota(caller, bytes).await?;
-        }
+        let new = !matches!(known, Some(Ok(record)) if record.owned);
+        let place = if new { Some(self.reserve_setup(caller, &id, bytes).await?) } else { None };
         let files = std::mem::take(&mut content.files);
-        let setup = self.setups.of_content(tenant, content, tell).await?;
+        let hide = new && self.limits.hide_known;
+        let setup = self.setups.of_content(tenant, content, hide, tell).await?;
         self.store.put_setup(&files).await?;
+        // A concurrent upload of the same content that failed may have taken the reservation back.
+        let place = match place {
+            Some(_) => Some(self.reserve_setup(caller, &id, bytes).await?),
+            None => None,
+        };
         let (access, built) = self.own(caller, &setup, bytes, visibility).await?;
+        place.into_iter().for_each(Reservation::keep);
+        if hide {
+            tokio::time::sleep_until((began + setup.answer_time()).into()).await;
+        }
         Ok(Created { setup, access, built })
     }
 
-    /// Rejects `more` bytes beyond the tenant's quota.
-    async fn check_quota(&self, caller: &Principal, more: u64) -> Result<(), ServiceError> {
-        let owned = self.store.owned(caller.tenant.as_str()).await?;
-        let limit = self.limits.setups;
-        if owned.len() >= limit {
-            let message = format!("you have {} set-ups, which is the limit; delete some", owned.len());
-            return Err(ServiceError::new(Code::ResourceExhausted, message));
-        }
-        let (held, limit) =
-            (owned.iter().map(|(_, record)| record.bytes).sum::<u64>(), self.limits.stored_bytes);
-        if held.saturating_add(more) > limit {
-            let message = format!(
-                "your set-ups have {held} bytes, and {more} more exceed the limit of {limit}; delete some"
-            );
-            return Err(ServiceError::new(Code::ResourceExhausted, message));
-        }
-        Ok(())
+    /// Reserves a place for a set-up.
+    async fn reserve_setup(
+        &self,
+        caller: &Principal,
+        id: &str,
+        bytes: u64,
+    ) -> Result<Reservation, ServiceError> {
+        let quota = self.limits.quota();
+        let place = self.store.reserve(caller.tenant.as_str(), Kind::Setup, id, bytes, &quota).await?;
+        place.map_err(|excess| self.exceeds(excess, bytes))
     }
 
     /// Makes the caller an owner of a set-up; whether it was none before.
@@ -197,10 +214,11 @@ impl Service {
         self.listed(page, summaries.buffered(AT_ONCE), |summary: &SetupSummary| summary.id.clone()).await
     }
 
-    /// Sets which other tenants may use a set-up that the caller owns.
+    /// Sets which other tenants may use a set-up that the caller owns. Those that may not use it any more are refused from
+    /// their next call on, in sessions too; calls that run are finished.
     ///
     /// # Errors
-    /// `NotFound`, `PermissionDenied` to readers, `Unavailable` if it cannot be stored.
+    /// `NotFound`, `InvalidArgument` for too many tenants, `PermissionDenied` to readers, `Unavailable` if it cannot be stored.
     pub async fn share_setup(
         &self,
         caller: &Principal,
@@ -208,10 +226,12 @@ impl Service {
         visibility: Visibility,
     ) -> Result<Access, ServiceError> {
         caller.need(Role::User)?;
+        check_visibility("", Some(&visibility), &self.limits)?;
         self.change_access(caller, id, |record| record.shared = shared(&visibility)).await
     }
 
-    /// Gives up a set-up that the caller owns. Sessions on it stay open.
+    /// Gives up a set-up that the caller owns. Its own sessions on it go on; those of tenants with which it was shared are
+    /// refused from their next call on.
     ///
     /// # Errors
     /// `NotFound`, `PermissionDenied` to readers, `Unavailable` if it cannot be stored.
@@ -246,8 +266,9 @@ impl Receiving<'_> {
     /// Appends bytes to a file.
     ///
     /// # Errors
-    /// `InvalidArgument` if they do not fit the header.
+    /// `InvalidArgument` if they do not fit the header, `ResourceExhausted` if there is no memory for them.
     pub fn append(&mut self, file: usize, data: &[u8]) -> Result<(), ServiceError> {
+        self.memory.grow("the upload", data.len() as u64)?;
         self.upload.append(file, data, self.limits)
     }
 
@@ -262,7 +283,7 @@ impl Receiving<'_> {
     /// # Errors
     /// `InvalidArgument` naming the first incomplete file.
     pub fn finish(self) -> Result<Uploaded, ServiceError> {
-        self.upload.finish()
+        Ok(Uploaded { memory: Some(self.memory), ..self.upload.finish()? })
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::collections::HashSet;
 
-use moldline_host::{ServiceError, shorten};
+use moldline_host::{ServiceError, Share, shorten};
 use moldline_setup_files::ArchiveKind;
 
 use crate::{access::Visibility, limits::Limits};
@@ -61,6 +61,15 @@ pub struct Uploaded {
     pub header: UploadHeader,
     /// The bytes of each file in the header's order; one entry for an archive.
     pub contents: Vec<Vec<u8>>,
+    /// The memory taken for them.
+    pub(crate) memory: Option<Share>,
+}
+
+impl Uploaded {
+    /// Bytes of all files.
+    pub fn bytes(&self) -> u64 {
+        self.contents.iter().map(|content| content.len() as u64).sum()
+    }
 }
 
 impl Upload {
@@ -80,6 +89,7 @@ impl Upload {
                 ),
             ));
         }
+        check_visibility("header.", header.visibility.as_ref(), limits)?;
         let sizes = match &header.source {
             UploadSource::Files(files) => {
                 check_files(files, limits)?;
@@ -151,7 +161,7 @@ impl Upload {
                 ));
             }
         }
-        Ok(Uploaded { header: self.header, contents: self.contents })
+        Ok(Uploaded { header: self.header, contents: self.contents, memory: None })
     }
 }
 
@@ -177,6 +187,25 @@ fn check_files(files: &[FileEntry], limits: &Limits) -> Result<(), ServiceError>
         }
     }
     Ok(())
+}
+
+/// Rejects a list of tenants that is too long. `prefix`: of the field.
+///
+/// # Errors
+/// `InvalidArgument` naming the field.
+pub fn check_visibility(
+    prefix: &str,
+    visibility: Option<&Visibility>,
+    limits: &Limits,
+) -> Result<(), ServiceError> {
+    let Some(Visibility::Tenants(tenants)) = visibility else { return Ok(()) };
+    let (count, limit) = (tenants.len(), limits.shared_with);
+    if count <= limit {
+        return Ok(());
+    }
+    let text =
+        format!("{count} tenants are more than the limit of {limit}; share it with all, or with fewer");
+    Err(ServiceError::invalid(format!("{prefix}shared_with"), text))
 }
 
 #[cfg(test)]

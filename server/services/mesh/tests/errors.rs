@@ -47,7 +47,10 @@ fn errors_of_set_up_files() {
     assert_eq!(answer(SetupFileError::Mesh(coordinate())), invalid("mesh.vertices[7][2]"));
     assert_eq!(answer(SetupFileError::Mesh(MeshError::Empty { what: "cells" })), invalid("mesh.cells"));
     let file = |source| SetupFileError::MeshFile { file: "mesh.msh".to_owned(), source };
-    assert_eq!(answer(file(ReadError::Mesh(coordinate()))), invalid("mesh.vertices[7][2]"));
+    assert_eq!(
+        answer(file(ReadError::Mesh { error: coordinate(), message: coordinate().to_string() })),
+        invalid("mesh.vertices[7][2]")
+    );
     let syntax = |field: &str| SetupFileError::Syntax {
         file: "setup.toml".to_owned(),
         field: field.to_owned(),
@@ -72,7 +75,7 @@ fn errors_of_a_set_up() {
     assert_eq!(answer(SetupError::Parameterisation(patch)), invalid("components[1].patches[2]"));
     let option = SetupError::Option { field: "field.rounding".to_owned(), value: -1.0, low: 0.0, high: 1.0 };
     assert_eq!(answer(option), invalid("options.field.rounding"));
-    let off = |worst| SetupError::OffSurface { count: 1, tolerance: 1e-6, worst };
+    let off = |worst| SetupError::OffSurface { count: 1, tolerance: 1e-6, misfit: None, worst };
     assert_eq!(answer(off(vec![VertexDistance { vertex: 7, distance: 0.1 }])), invalid("mesh.vertices[7]"));
     assert_eq!(answer(off(Vec::new())), invalid("mesh.vertices"));
     let across = SetupError::CellAcrossSeam { count: 1, first: vec![9] };

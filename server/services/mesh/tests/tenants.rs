@@ -279,7 +279,7 @@ async fn sharing_is_visible_and_can_be_revoked() {
     service.share_setup(&owner, &setup, Visibility::Private).await.unwrap();
     assert_eq!(service.get_setup(&friend, &setup).await.unwrap_err().code, Code::NotFound);
     assert!(service.list_setups(&friend, &Page::default()).await.unwrap().entries.is_empty());
-    assert!(service.deform(&friend, &session, moved(0.1)).await.is_ok(), "what was opened goes on");
+    assert_eq!(service.get_session(&friend, &session).await.unwrap().id, session, "its own design");
     service.share_setup(&owner, &setup, Visibility::Public).await.unwrap();
     assert_eq!(service.list_setups(&other, &Page::default()).await.unwrap().entries.len(), 1);
 }
@@ -441,5 +441,185 @@ async fn only_unreachable_content_is_collected() {
     let planned = store.collect(std::time::Duration::ZERO, true).await.unwrap().objects;
     assert_eq!(collect().await, planned);
     assert!(planned.iter().any(|name| name.starts_with("blob/")));
-    assert_eq!(store.size().await.unwrap().0, 0);
+    assert_eq!(store.survey().await.unwrap().setups, 0);
+}
+
+#[tokio::test]
+async fn another_tenants_session_ends_with_its_access_and_goes_on_with_it() {
+    let (owner, friend) = (user("owner"), user("friend"));
+    let later = async || tokio::time::sleep(std::time::Duration::from_millis(1100)).await;
+    for deletes in [false, true] {
+        let store = Store::in_memory();
+        let (one, two) = (on(&store, Limits::default()), on(&store, Limits::default()));
+        let shared = Visibility::Tenants(BTreeSet::from([tenant("friend")]));
+        let (setup, ..) = create(&one, &owner, Some(shared.clone())).await.unwrap();
+        let own = one.open_session(&owner, &setup, "", "").await.unwrap().id;
+        let theirs = two.open_session(&friend, &setup, "", "").await.unwrap().id;
+        let held = two.linearised(&friend, &theirs, At::design(moved(0.5))).await.unwrap().value;
+        match deletes {
+            true => one.delete_setup(&owner, &setup).await.unwrap(),
+            false => drop(one.share_setup(&owner, &setup, Visibility::Private).await.unwrap()),
+        }
+        later().await;
+        for service in [&one, &two] {
+            for method in ["deform", "linearised", "jvp", "vjp", "update_session"] {
+                let outcome = call(service, &friend, method, &setup, &theirs).await;
+                assert_eq!(outcome, "PERMISSION_DENIED", "{method}");
+                let outcome = call(service, &owner, method, &setup, &own).await;
+                assert!(matches!(outcome.as_str(), "ok" | "ABORTED"), "{method} of the owner: {outcome}");
+            }
+            let at = At::id(held.id());
+            let error = service.jvp(&friend, &theirs, at, along()).await.unwrap_err();
+            assert_eq!(error.code, Code::PermissionDenied);
+            assert!(error.message.contains("upload it yourself"), "{error}");
+            assert_eq!(call(service, &friend, "get_session", &setup, &theirs).await, "ok");
+        }
+        // What runs is finished: later columns of a Jacobian come from the linearisation in hand.
+        assert!(two.jacobian(&friend, &held, 0).await.is_ok());
+        // Shared again, it goes on where it was.
+        create(&one, &owner, Some(shared)).await.unwrap();
+        assert_eq!(call(&two, &friend, "deform", &setup, &theirs).await, "ok");
+        two.close_session(&friend, &theirs).await.unwrap();
+        // So it does for who has the content itself.
+        let theirs = two.open_session(&friend, &setup, "", "").await.unwrap().id;
+        create(&two, &friend, None).await.unwrap();
+        one.delete_setup(&owner, &setup).await.unwrap();
+        two.delete_setup(&friend, &setup).await.unwrap();
+        later().await;
+        assert_eq!(call(&two, &friend, "deform", &setup, &theirs).await, "ok");
+    }
+}
+
+#[tokio::test]
+async fn a_first_upload_takes_the_time_of_its_build_whoever_has_the_content() {
+    let store = Store::in_memory();
+    let file = ball::setup_file("timed");
+    let upload = async |service: &Service, name: &str| {
+        let (mut upload, limits) =
+            (Upload::begin(header(None, file.len()), &Limits::default()).unwrap(), Limits::default());
+        upload.append(0, file.as_bytes(), &limits).unwrap();
+        let (began, mut steps) = (std::time::Instant::now(), Vec::new());
+        let tell = |_| steps.push(began.elapsed());
+        let created = service.create_setup(&user(name), upload.finish().unwrap(), tell).await.unwrap();
+        (created.setup.build_time, began.elapsed(), steps)
+    };
+    let service = on(&store, Limits::default());
+    let (build, first, _) = upload(&service, "first").await;
+    assert!(first >= build);
+    // Another tenant, with the set-up in memory, restored from the store, and two at once.
+    let fresh = on(&store, Limits::default());
+    for (service, name) in [(&service, "second"), (&fresh, "third")] {
+        let (recorded, took, steps) = upload(service, name).await;
+        assert_eq!(recorded, build, "the fields are those of the first");
+        assert!(took >= build, "{took:?} of {build:?}");
+        // The steps do not come at once.
+        assert!(*steps.last().unwrap() >= build / 2, "{steps:?} of {build:?}");
+    }
+    let together = futures::future::join_all(["fourth", "fifth"].map(|name| upload(&fresh, name))).await;
+    assert!(together.iter().all(|(_, took, _)| *took >= build));
+    // One's own content again tells nothing, and takes no time; nor does it where nothing is to be hidden.
+    let (_, again, _) = upload(&service, "second").await;
+    let open = on(&store, Limits { hide_known: false, ..Limits::default() });
+    open.get_setup(&user("second"), &{
+        store.setups_of("second").await.unwrap().into_iter().next().unwrap()
+    })
+    .await
+    .unwrap();
+    let (_, known, _) = upload(&open, "sixth").await;
+    assert!(again < build && known < build, "{again:?}, {known:?} of {build:?}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn quotas_hold_for_many_calls_at_once_on_two_servers() {
+    let folder = tempfile::tempdir().unwrap();
+    let limits = Limits { setups: 5, sessions: 20, ..Limits::default() };
+    let mut services = Vec::new();
+    for _ in 0..2 {
+        let store = Store::open(folder.path().to_str().unwrap()).await.unwrap();
+        let pool = PoolLimits { threads: 2, running: 2, queued: 64, work: PoolLimits::WORK };
+        services.push(std::sync::Arc::new(Service::with_store(store, pool, limits.clone()).unwrap()));
+    }
+    let caller = user("a");
+    let tries = (0..12).map(|k| {
+        let (service, caller) = (services[k % 2].clone(), caller.clone());
+        tokio::spawn(async move {
+            let made = service.create_setup(&caller, uploaded(&format!("set-up {k}"), None), |_| {}).await;
+            made.map(|made| made.setup.id.to_string())
+        })
+    });
+    let mut setups = Vec::new();
+    for one in tries.collect::<Vec<_>>() {
+        match one.await.unwrap() {
+            Ok(id) => setups.push(id),
+            Err(error) => assert_eq!(error.code, Code::ResourceExhausted, "{error}"),
+        }
+    }
+    assert!((1..=5).contains(&setups.len()), "{}", setups.len());
+    assert_eq!(services[0].list_setups(&caller, &Page::default()).await.unwrap().entries.len(), setups.len());
+    for _ in 0..2 {
+        let tries = (0..50).map(|k| {
+            let (service, caller, setup) = (services[k % 2].clone(), caller.clone(), setups[0].clone());
+            tokio::spawn(async move { service.open_session(&caller, &setup, "", &format!("open {k}")).await })
+        });
+        let mut open = BTreeSet::new();
+        for one in tries.collect::<Vec<_>>() {
+            match one.await.unwrap() {
+                Ok(session) => drop(open.insert(session.id)),
+                Err(error) => {
+                    assert!(matches!(error.code, Code::ResourceExhausted | Code::NotFound), "{error}")
+                }
+            }
+        }
+        assert!(open.len() <= 20, "{}", open.len());
+        let listed = services[1].list_sessions(&caller, &Page::default()).await.unwrap().entries;
+        assert_eq!(listed.into_iter().map(|session| session.id).collect::<BTreeSet<_>>(), open);
+        assert_eq!(services[0].status(&caller).await.unwrap().sessions, open.len());
+    }
+}
+
+#[tokio::test]
+async fn long_lists_of_tenants_are_refused() {
+    let service = on(&Store::in_memory(), Limits { shared_with: 3, ..Limits::default() });
+    let many = |count: usize| Visibility::Tenants((0..count).map(|k| tenant(&format!("t{k}"))).collect());
+    let owner = user("owner");
+    let (setup, ..) = create(&service, &owner, Some(many(3))).await.unwrap();
+    service.share_setup(&owner, &setup, many(3)).await.unwrap();
+    let error = service.share_setup(&owner, &setup, many(4)).await.unwrap_err();
+    assert_eq!((error.code, error.violations[0].field.as_str()), (Code::InvalidArgument, "shared_with"));
+    let error = service.receive(&owner, header(Some(many(4)), 10)).unwrap_err();
+    assert_eq!(
+        (error.code, error.violations[0].field.as_str()),
+        (Code::InvalidArgument, "header.shared_with")
+    );
+}
+
+#[tokio::test]
+async fn the_last_updates_are_recognised_and_no_more_is_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = Store::open(folder.path().to_str().unwrap()).await.unwrap();
+    let service = on(&store, Limits::default());
+    let caller = user("a");
+    let (setup, ..) = create(&service, &caller, None).await.unwrap();
+    let id = service.open_session(&caller, &setup, "", "open").await.unwrap().id;
+    let step = |k: u64| update(k, 0.001 * k as f64, &format!("step {k}"));
+    for k in 1..=40 {
+        service.update_session(&caller, &id, step(k)).await.unwrap();
+    }
+    for k in 33..=40 {
+        let again = service.update_session(&caller, &id, step(k)).await;
+        assert_eq!(again.unwrap().generation, k + 1);
+        let other = SessionUpdate { label: Some("other".to_owned()), ..step(k) };
+        assert_eq!(service.update_session(&caller, &id, other).await.unwrap_err().code, Code::AlreadyExists);
+    }
+    assert_eq!(service.update_session(&caller, &id, step(20)).await.unwrap_err().code, Code::Aborted);
+    let files = std::fs::read_dir(folder.path().join("session/a").join(&id)).unwrap().count();
+    assert_eq!(files, 8, "old generations are gone");
+    assert!(!folder.path().join("request").exists(), "request ids of sessions need no objects");
+    service.close_session(&caller, &id).await.unwrap();
+    assert_eq!(std::fs::read_dir(folder.path().join("session/a")).unwrap().count(), 0);
+    assert_eq!(service.open_session(&caller, &setup, "", "open").await.unwrap_err().code, Code::NotFound);
+    assert_eq!(
+        service.open_session(&caller, &setup, "x", "open").await.unwrap_err().code,
+        Code::AlreadyExists
+    );
 }

@@ -7,6 +7,8 @@ use moldline_host::{Claim, ServiceError};
 use moldline_mesh::{Cell, Group, SurfaceMesh};
 use moldline_panel::{Options, PanelError, PanelSetup, SetupSummary, Symmetry, TrailingEdges};
 
+use crate::merging::Merging;
+
 /// Input of a configuration.
 #[derive(Clone, Debug)]
 pub struct Definition {
@@ -20,6 +22,8 @@ pub struct Definition {
     pub vertex_groups: Vec<Group>,
     /// Options; the memory limit is that of the service.
     pub options: Options,
+    /// Distance within which vertices become one, m; none if absent.
+    pub merge_tolerance: Option<f64>,
 }
 
 /// A prepared mesh. Immutable.
@@ -31,8 +35,10 @@ pub struct Configuration {
     pub setup: PanelSetup,
     /// Summary of the set-up.
     pub summary: SetupSummary,
-    /// Reference positions, m.
+    /// Reference positions, m: the caller's.
     pub vertices: Arc<Vec<[f64; 3]>>,
+    /// How vertices are merged.
+    pub merging: Option<Merging>,
     /// Number of cells.
     pub cells: usize,
     _claim: Claim,
@@ -87,6 +93,10 @@ impl Definition {
         }
         name(&mut hasher, &format!("{solver:?}"));
         hasher.update(&tolerance.to_le_bytes());
+        if let Some(distance) = self.merge_tolerance {
+            name(&mut hasher, "merge");
+            hasher.update(&distance.to_le_bytes());
+        }
         hasher.finalize().to_hex().to_string()
     }
 
@@ -110,13 +120,27 @@ impl Definition {
         memory_limit: u64,
         claim: Claim,
     ) -> Result<Configuration, ServiceError> {
-        let Self { cells, vertices, cell_groups, vertex_groups, options } = self;
+        let Self { cells, vertices, cell_groups, vertex_groups, mut options, merge_tolerance } = self;
+        options.memory_limit = memory_limit;
         let mesh = SurfaceMesh::with_limits(vertices, cells, cell_groups, vertex_groups, limits)
             .map_err(PanelError::from)?;
-        let setup = PanelSetup::new(&mesh, Options { memory_limit, ..options })?;
-        let summary = setup.summary();
         let cells = mesh.cells.len();
-        Ok(Configuration { id, setup, summary, vertices: Arc::new(mesh.vertices), cells, _claim: claim })
+        let vertices = Arc::new(mesh.vertices.clone());
+        let (setup, merging) = match merge_tolerance {
+            None => (PanelSetup::new(&mesh, options)?, None),
+            Some(tolerance) => {
+                let (merging, mesh) = Merging::new(mesh, tolerance)?;
+                options.trailing_edges = merging.trailing_edges(options.trailing_edges);
+                let setup = PanelSetup::new(&mesh, options).map_err(|error| merging.explain(error))?;
+                (setup, Some(merging))
+            }
+        };
+        let summary = setup.summary();
+        let summary = match &merging {
+            Some(merging) => merging.summary(summary),
+            None => summary,
+        };
+        Ok(Configuration { id, setup, summary, vertices, merging, cells, _claim: claim })
     }
 }
 

@@ -16,11 +16,13 @@
 //! Absent on purpose: wire formats, ports, numerics.
 
 mod configuration;
+mod merging;
 mod progress;
 mod service;
 mod solved;
 
 pub use configuration::{Configuration, Definition};
+pub use merging::Merging;
 pub use progress::reporter;
 pub use service::{Analysed, AnalysisPoint, Created, Geometry, Limits, PanelService, Status};
 pub use solved::Solved;

@@ -7,14 +7,15 @@ use std::{
 
 use moldline_host::{
     Cache, CacheStatus, Code, Completed, ComputePool, Flights, Joined, PoolLimits, Principal, Product,
-    Progress, Reports, Role, ServiceError, Task, Tenant, Ticket, Timing,
+    Progress, Reports, Role, ServiceError, Supply, Task, Tenant, Ticket, Timing,
 };
 use moldline_panel::{
-    Analysis, Flow, Inputs, Linearisation, Monitor, Outputs, PanelError, Reference, SetupSummary, Stage,
+    Analysis, Flow, Inputs, Linearisation, Monitor, Outputs, Reference, SetupSummary, Stage,
 };
 
 use crate::{
     configuration::{Configuration, Definition},
+    merging::Merging,
     progress::reporter,
     solved::{self, Solved},
 };
@@ -143,6 +144,19 @@ impl PanelService {
         &self.limits
     }
 
+    /// The working memory.
+    pub fn memory(&self) -> &Arc<Supply> {
+        self.pool.memory()
+    }
+
+    /// Whether the pool gets work done.
+    ///
+    /// # Errors
+    /// As [`ComputePool::moving`].
+    pub fn moving(&self) -> Result<(), String> {
+        self.pool.moving()
+    }
+
     /// Number of running and waiting tasks.
     pub fn load(&self) -> usize {
         self.pool.load()
@@ -238,7 +252,16 @@ impl PanelService {
         let id = name(&configuration, &geometry);
         let (solved, reused, timing) = self.solved(caller, &configuration, id, Some(geometry), tell).await?;
         let solution = Arc::clone(&solved.solution);
-        let analyse = move |_: &Ticket| flows.iter().map(|flow| Ok(solution.analyse(flow)?)).collect();
+        let analyse = move |_: &Ticket| {
+            let analyse = |flow| match &configuration.merging {
+                None => Ok(solution.analyse(flow)?),
+                Some(merging) => {
+                    let analysis = solution.analyse(flow).map_err(|error| merging.explain(error))?;
+                    Ok(merging.analysis(analysis))
+                }
+            };
+            flows.iter().map(analyse).collect()
+        };
         let Completed { value, queued, ran } =
             self.pool.run(task(caller, "analyse", configuration_id), analyse).await?;
         Ok(Analysed { solved, analyses: value, reused, timing: timing + Timing { queued, engine: ran } })
@@ -262,7 +285,13 @@ impl PanelService {
             at,
             ("jvp", "directions"),
             count,
-            move |linearisation, monitor| linearisation.jvp(&directions, monitor),
+            move |linearisation, merging, monitor| match merging {
+                None => Ok(linearisation.jvp(&directions, monitor)?),
+                Some(merging) => {
+                    let merged = merging.directions(directions)?;
+                    linearisation.jvp(&merged, monitor).map_err(|error| merging.explain(error))
+                }
+            },
         )
         .await
     }
@@ -279,9 +308,20 @@ impl PanelService {
         seeds: Vec<Outputs>,
     ) -> Result<Product<Vec<Inputs>>, ServiceError> {
         let count = seeds.len();
-        self.product(caller, configuration_id, at, ("vjp", "seeds"), count, move |linearisation, monitor| {
-            linearisation.vjp(&seeds, monitor)
-        })
+        self.product(
+            caller,
+            configuration_id,
+            at,
+            ("vjp", "seeds"),
+            count,
+            move |linearisation, merging, monitor| {
+                let gradients = linearisation.vjp(&seeds, monitor)?;
+                Ok(match merging {
+                    None => gradients,
+                    Some(merging) => merging.gradients(gradients),
+                })
+            },
+        )
         .await
     }
 
@@ -292,7 +332,9 @@ impl PanelService {
         at: AnalysisPoint,
         (kind, what): (&'static str, &str),
         count: usize,
-        work: impl FnOnce(&Linearisation, &dyn Monitor<Stage>) -> Result<Vec<T>, PanelError> + Send + 'static,
+        work: impl FnOnce(&Linearisation, Option<&Merging>, &dyn Monitor<Stage>) -> Result<Vec<T>, ServiceError>
+        + Send
+        + 'static,
     ) -> Result<Product<Vec<T>>, ServiceError> {
         caller.need(Role::User)?;
         let configuration = self.configuration(caller, configuration_id)?;
@@ -322,7 +364,7 @@ impl PanelService {
             let _claim = solutions.claim("the product with the derivative", bytes)?;
             let linearisation = solved.solution.linearise(&flow)?;
             let monitor = reporter(ticket.cancellation().clone(), |progress| ticket.progress(&progress));
-            Ok(work(&linearisation, &monitor)?)
+            work(&linearisation, configuration.merging.as_ref(), &monitor)
         };
         let Completed { value, queued, ran } =
             self.pool.run(task(caller, kind, configuration_id), run).await?;
@@ -449,5 +491,11 @@ fn check_flow(
 
 /// A task on a configuration.
 fn task(caller: &Principal, kind: &'static str, configuration: &str) -> Task {
-    Task { kind, tenant: caller.tenant.clone(), setup: Some(configuration.to_owned()), session: None }
+    Task {
+        kind,
+        tenant: caller.tenant.clone(),
+        setup: Some(configuration.to_owned()),
+        session: None,
+        memory: 0,
+    }
 }

@@ -45,7 +45,13 @@ impl Solved {
         tell: impl Fn(Progress) + Sync,
     ) -> Result<Self, ServiceError> {
         let reporter = reporter(cancellation.clone(), tell);
-        let solution = configuration.setup.solve(vertices, mach, &reporter)?;
+        let solution = match &configuration.merging {
+            None => configuration.setup.solve(vertices, mach, &reporter)?,
+            Some(merging) => {
+                let merged = merging.positions(vertices)?;
+                configuration.setup.solve(&merged, mach, &reporter).map_err(|error| merging.explain(error))?
+            }
+        };
         claim.shrink(solution.bytes());
         Ok(Self {
             id,

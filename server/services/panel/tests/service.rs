@@ -31,6 +31,7 @@ fn wing() -> Definition {
             trailing_edges: TrailingEdges::Groups(vec!["trailing_edge".to_owned()]),
             ..Options::default()
         },
+        merge_tolerance: None,
     }
 }
 
@@ -90,6 +91,97 @@ async fn analyses_and_products_are_those_of_the_panel_method() {
     assert_eq!(nothing.violations[0].field, "at");
     let none = service.vjp(&caller, id, at(&analysed.solved.id, None), Vec::new()).await.unwrap_err();
     assert_eq!(none.violations[0].field, "seeds");
+}
+
+/// The wing with the vertices of its upper row of cells double, as files of single patches have them.
+fn cracked() -> Definition {
+    let mut wing = wing();
+    let double = wing.cells.len() / 2;
+    let mut copies = std::collections::HashMap::new();
+    for cell in &mut wing.cells[double..] {
+        *cell = cell.map(|vertex| {
+            *copies.entry(vertex).or_insert_with(|| {
+                // A bit beside the original.
+                let [x, y, z] = wing.vertices[vertex as usize];
+                wing.vertices.push([x, y, z + 1e-12]);
+                wing.vertices.len() as u32 - 1
+            })
+        });
+    }
+    // Vertices that only the second half has are now its copies' alone.
+    let mut used = vec![false; wing.vertices.len()];
+    wing.cells.iter().flat_map(|cell| cell.vertices()).for_each(|&vertex| used[vertex as usize] = true);
+    let mut number = vec![0; used.len()];
+    let mut next = 0;
+    for (number, &used) in number.iter_mut().zip(&used) {
+        *number = next;
+        next += u32::from(used);
+    }
+    wing.cells.iter_mut().for_each(|cell| *cell = cell.map(|vertex| number[vertex as usize]));
+    let edge = &mut wing.vertex_groups;
+    for group in edge {
+        let original = std::mem::take(&mut group.indices);
+        let all = original.iter().chain(original.iter().filter_map(|vertex| copies.get(vertex)));
+        group.indices = all.filter(|v| used[**v as usize]).map(|&v| number[v as usize]).collect();
+        group.indices.sort_unstable();
+    }
+    let mut keep = used.iter();
+    wing.vertices.retain(|_| keep.next() == Some(&true));
+    wing
+}
+
+#[tokio::test]
+async fn merged_vertices_keep_their_places_in_arrays_and_derivatives() {
+    let service = service(Limits::default());
+    let caller = Principal::local();
+    let open = service.create_configuration(&caller, cracked()).await.unwrap_err();
+    assert!(open.message.contains("merge_tolerance") && open.message.contains("double"), "{}", open.message);
+    let definition = Definition { merge_tolerance: Some(1e-9), ..cracked() };
+    let n = definition.vertices.len();
+    let configuration = service.create_configuration(&caller, definition).await.unwrap().configuration;
+    let whole = service.create_configuration(&caller, wing()).await.unwrap().configuration;
+    assert_eq!(configuration.merging.as_ref().unwrap().count(), n - whole.vertices.len());
+    let analyse = |id: String| {
+        let service = &service;
+        async move {
+            service.analyse(&Principal::local(), &id, still(0.3), vec![flow(0.05)], |_| {}).await.unwrap()
+        }
+    };
+    let (merged, expected) = (analyse(configuration.id.clone()).await, analyse(whole.id.clone()).await);
+    let lift = |analysed: &moldline_panel_service::Analysed| analysed.analyses[0].scalars.lift;
+    assert!((lift(&merged) - lift(&expected)).abs() < 1e-9);
+    assert_eq!((merged.analyses[0].vertex_cp.len(), merged.analyses[0].cp.len()), (n, whole.cells));
+    let of_group = &cracked().vertex_groups[0].indices;
+    assert!(merged.analyses[0].sections.iter().flat_map(|s| s.edge).all(|vertex| of_group.contains(&vertex)));
+
+    let at = || AnalysisPoint { analysis_id: merged.solved.id.clone(), geometry: None, flow: flow(0.05) };
+    let wave = |k: usize| [0, 1, 2].map(|axis| (0.7 * k as f64 + axis as f64).sin());
+    let direction = Inputs { vertices: (0..n).map(wave).collect(), ..Inputs::default() };
+    let seed =
+        Outputs { scalars: Scalars { lift: 1.0, moment: -0.5, ..Scalars::default() }, ..Outputs::default() };
+    let id = &configuration.id;
+    let change = service.jvp(&caller, id, at(), vec![direction.clone()]).await.unwrap().value.remove(0);
+    let gradient = service.vjp(&caller, id, at(), vec![seed]).await.unwrap().value.remove(0);
+    assert_eq!(gradient.vertices.len(), n);
+    let dot = |a: &[[f64; 3]], b: &[[f64; 3]]| -> f64 {
+        a.as_flattened().iter().zip(b.as_flattened()).map(|(a, b)| a * b).sum()
+    };
+    let (forwards, backwards) =
+        (change.scalars.lift - 0.5 * change.scalars.moment, dot(&gradient.vertices, &direction.vertices));
+    assert!((forwards - backwards).abs() < 1e-10 * forwards.abs(), "{forwards} and {backwards}");
+
+    let wrong = Inputs { vertices: vec![[0.0; 3]; n - 1], ..Inputs::default() };
+    assert!(service.jvp(&caller, id, at(), vec![wrong]).await.is_err());
+    let mut apart = configuration.vertices.to_vec();
+    let near = |a: &[f64; 3], b: &[f64; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-9);
+    let double = (0..n).position(|v| (v + 1..n).any(|w| near(&apart[v], &apart[w]))).unwrap();
+    apart[double][2] += 1.0;
+    let torn = Geometry { vertices: Some(apart), mach: 0.3 };
+    let error = service.analyse(&caller, id, torn, vec![flow(0.05)], |_| {}).await.err().unwrap();
+    assert!(error.message.contains("merged with"), "{}", error.message);
+    let coarse = Definition { merge_tolerance: Some(0.5), ..cracked() };
+    let error = service.create_configuration(&caller, coarse).await.unwrap_err();
+    assert_eq!(error.violations[0].field, "options.merge_tolerance");
 }
 
 #[tokio::test]
@@ -178,6 +270,7 @@ async fn dropping_a_request_stops_its_work() {
         cell_groups: Vec::new(),
         vertex_groups: Vec::new(),
         options: Options { trailing_edges: TrailingEdges::None, ..Options::default() },
+        merge_tolerance: None,
     };
     let id = service.create_configuration(&caller, definition).await.unwrap().configuration.id.clone();
     let (started, has_started) = tokio::sync::oneshot::channel();

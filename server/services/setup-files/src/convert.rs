@@ -2,7 +2,10 @@
 
 use moldline_deform::SetupInput;
 use moldline_geometry::{Body, Component, ComponentOptions, PatchInput, Primitive};
-use moldline_mesh::{Cell, Group, SurfaceMesh, io};
+use moldline_mesh::{
+    Cell, Group, Origin, SurfaceMesh,
+    io::{self, Format, Imported},
+};
 use moldline_parameterisation::{
     Axis, CentreLine, ComponentReference, FreeFormDeclaration, OperationDeclaration, Parameterisation,
     PatchReference, Pivot, PlanformDeclaration, RadialScaleDeclaration, RotationDeclaration,
@@ -16,8 +19,11 @@ use crate::document::{
 };
 use crate::files::{Files, Limits, clean_path, find_setup_file, names};
 use crate::outputs::output;
-use crate::parse::{parse_geometry, parse_setup};
+use crate::parse::{parse_geometry, parse_parameterisation, parse_setup};
 use crate::{SetupFileError, document};
+
+/// Longest name of a set-up, component, patch, group or variable, bytes.
+const LONGEST_NAME: usize = 256;
 
 /// A set-up that has been read, ready for [`moldline_deform::Setup::build`].
 #[derive(Clone, Debug)]
@@ -26,6 +32,8 @@ pub struct SetupContent {
     pub name: String,
     /// The engine's input.
     pub input: SetupInput,
+    /// The file of its mesh, unless that is inline, and the unit of its coordinates, m.
+    pub mesh_file: Option<(String, f64)>,
     /// Its files: the set-up file, geometry, mesh. Other files that were uploaded are not part of it.
     pub files: Vec<String>,
 }
@@ -46,22 +54,78 @@ pub fn read_setup(
     let (components, references) = reader.components(document.components)?;
     let variables: Vec<_> = document.parameterisation.variables.into_iter().map(variable).collect();
     let operations: Vec<_> = document.parameterisation.operations.into_iter().map(operation).collect();
+    let unit = document.mesh.unit.metres();
+    let mesh_file = document.mesh.file.as_deref().map(|file| clean_path("mesh.file", file)).transpose()?;
     // Independent, and both take time.
     let (mesh, parameterisation) = rayon::join(
         || reader.mesh(document.mesh),
         || Parameterisation::new(&references, &variables, &operations),
     );
-    let (mesh, parameterisation) = (mesh?, parameterisation?);
+    let (Imported { mesh, origin }, parameterisation) = (mesh?, parameterisation?);
     too_many("outputs", "outputs", document.outputs.len(), limits.components)?;
     let outputs = document.outputs.into_iter().enumerate();
     let outputs =
         outputs.map(|(index, document)| output(index, document, &components)).collect::<Result<_, _>>()?;
     let options = document.options.to_options();
+    check_names(&document.name, &components, &mesh, &parameterisation)?;
     Ok(SetupContent {
         name: if document.name.is_empty() { setup_file } else { document.name },
-        input: SetupInput { components, mesh, parameterisation, outputs, options },
+        input: SetupInput { components, mesh, origin: origin.into(), parameterisation, outputs, options },
+        mesh_file: mesh_file.map(|file| (file, unit)),
         files: reader.used,
     })
+}
+
+/// Whether the engine accepts the design variables and operations of a set-up file for these components. `text` is
+/// TOML with nothing but its `parameterisation`.
+///
+/// # Errors
+/// The first thing that is wrong.
+pub fn check_parameterisation(text: &str, components: &[ComponentReference]) -> Result<(), SetupFileError> {
+    let document = parse_parameterisation(text)?;
+    let variables: Vec<_> = document.variables.into_iter().map(variable).collect();
+    let operations: Vec<_> = document.operations.into_iter().map(operation).collect();
+    Parameterisation::new(components, &variables, &operations)?;
+    Ok(())
+}
+
+/// Refuses names that no table, log line or header has room for.
+fn check_names(
+    title: &str,
+    components: &[Component],
+    mesh: &SurfaceMesh,
+    parameterisation: &Parameterisation,
+) -> Result<(), SetupFileError> {
+    let title = [("name".to_owned(), title)];
+    let components = components.iter().enumerate().flat_map(|(i, component)| {
+        let field = format!("components[{i}]");
+        let patches = component.patches().iter().enumerate();
+        let of_patch = format!("{field}.patches");
+        let patches = patches.map(move |(k, patch)| (format!("{of_patch}[{k}].name"), patch.name.as_str()));
+        std::iter::once((format!("{field}.name"), component.name())).chain(patches)
+    });
+    let kinds = [("cell_groups", &mesh.cell_groups), ("vertex_groups", &mesh.vertex_groups)];
+    let groups = kinds.into_iter().flat_map(|(kind, groups)| {
+        let groups = groups.iter().enumerate();
+        groups.map(move |(i, group)| (format!("mesh.{kind}[{i}].name"), group.name.as_str()))
+    });
+    let variables = parameterisation.variables().iter().enumerate();
+    let variables = variables
+        .map(|(i, variable)| (format!("parameterisation.variables[{i}].name"), variable.name.as_str()));
+    match title
+        .into_iter()
+        .chain(components)
+        .chain(groups)
+        .chain(variables)
+        .find(|(_, name)| name.len() > LONGEST_NAME)
+    {
+        None => Ok(()),
+        Some((field, name)) => Err(SetupFileError::Value {
+            field,
+            value: format!("'{}...'", name.chars().take(32).collect::<String>()),
+            requirement: format!("has {} bytes; names have {LONGEST_NAME} at most", name.len()),
+        }),
+    }
 }
 
 struct Reader<'a> {
@@ -241,51 +305,38 @@ impl<'a> Reader<'a> {
         Ok(PatchInput { name, knots_u, knots_v, control_points: points, weights })
     }
 
-    fn mesh(&mut self, document: MeshDocument) -> Result<SurfaceMesh, SetupFileError> {
+    fn mesh(&mut self, document: MeshDocument) -> Result<Imported, SetupFileError> {
         let MeshDocument { file, unit, merge_tolerance, vertices, cells, vertex_groups } = document;
         let limits = &self.limits.mesh;
-        let mut mesh = match (file, vertices, cells) {
+        let tolerance = merge_tolerance.unwrap_or(0.0);
+        if !(tolerance >= 0.0 && tolerance.is_finite()) {
+            return Err(value_error("mesh.merge_tolerance".into(), tolerance, "must be 0 or greater"));
+        }
+        let mut imported = match (file, vertices, cells) {
             (Some(file), None, None) => {
                 if vertex_groups.is_some() {
                     return Err(choice("mesh".into(), "file and vertex_groups", &[("both", true)]));
                 }
                 let (path, bytes) = self.file("mesh.file", &file)?;
-                let ending = path.rsplit_once('.').map(|(_, ending)| ending.to_ascii_lowercase());
-                let ending = ending.unwrap_or_default();
-                if merge_tolerance.is_some() && ending != "stl" {
-                    let requirement = "applies to .stl files only; remove it".to_owned();
-                    return Err(SetupFileError::Value {
-                        field: "mesh.merge_tolerance".into(),
-                        value: merge_tolerance.unwrap_or_default().to_string(),
-                        requirement,
-                    });
-                }
-                let imported = match ending.as_str() {
-                    "msh" => io::msh::read(bytes, limits),
-                    "vtu" => io::vtu::read(bytes, limits),
-                    "stl" => {
-                        let tolerance = merge_tolerance.unwrap_or(0.0);
-                        io::stl::read(
-                            bytes,
-                            within("mesh.merge_tolerance".into(), tolerance, 0.0, f64::MAX)?,
-                            limits,
-                        )
-                    }
-                    _ => {
-                        return Err(SetupFileError::Value {
-                            field: "mesh.file".into(),
-                            value: format!("'{path}'"),
-                            requirement: "must end in .msh, .vtu or .stl".into(),
-                        });
-                    }
-                };
-                imported.map_err(|source| SetupFileError::MeshFile { file: path, source })?.mesh
+                let format = Format::of_name(&path).ok_or_else(|| SetupFileError::Value {
+                    field: "mesh.file".into(),
+                    value: format!("'{path}'"),
+                    requirement: format!("must end in {}", Format::ENDINGS),
+                })?;
+                let imported = format.read(bytes, tolerance, limits);
+                imported.map_err(|source| SetupFileError::MeshFile { file: path, source })?
             }
             (None, Some(vertices), Some(cells)) => {
                 let cells = cells.iter().enumerate().map(inline_cell).collect::<Result<Vec<_>, _>>()?;
                 let groups = vertex_groups.unwrap_or_default();
                 let groups = groups.into_iter().map(|g| Group { name: g.name, indices: g.indices }).collect();
-                SurfaceMesh::with_limits(vertices, cells, Vec::new(), groups, limits)?
+                let mesh = SurfaceMesh::with_limits(vertices, cells, Vec::new(), groups, limits)?;
+                if tolerance > 0.0 {
+                    let merged = io::merged(mesh, tolerance, limits);
+                    merged.map_err(|source| SetupFileError::MeshFile { file: "inline".into(), source })?
+                } else {
+                    Imported { mesh, origin: Origin::default() }
+                }
             }
             (file, vertices, cells) => {
                 let present =
@@ -295,9 +346,9 @@ impl<'a> Reader<'a> {
         };
         if unit != document::LengthUnit::Metre {
             let scale = unit.metres();
-            mesh.vertices.iter_mut().flatten().for_each(|v| *v *= scale);
+            imported.mesh.vertices.iter_mut().flatten().for_each(|v| *v *= scale);
         }
-        Ok(mesh)
+        Ok(imported)
     }
 }
 

@@ -78,7 +78,9 @@ pub struct MeshDocument {
     /// Unit of the coordinates.
     #[serde(default)]
     pub unit: LengthUnit,
-    /// STL only: corners within this distance, in the file's unit, become one vertex. 0 merges equal corners only.
+    /// Nodes within this distance of an earlier one, in the unit of the mesh, become one vertex, and cells that collapse are left out:
+    /// at most 0.1 % of the area. 0, the default, merges only what a format cannot share: equal corners of STL, equal points of
+    /// several pieces of VTU.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub merge_tolerance: Option<f64>,
     /// Inline vertices, instead of a file.

@@ -189,8 +189,11 @@ impl Failure for SetupFileError {
             Self::Format { .. } => "format".to_owned(),
             Self::Component { index, .. } => format!("components[{index}]"),
             Self::Primitive { index, .. } => format!("components[{index}].primitive"),
-            Self::MeshFile { source: ReadError::Mesh(error), .. } | Self::Mesh(error) => {
+            Self::MeshFile { source: ReadError::Mesh { error, .. }, .. } | Self::Mesh(error) => {
                 return error.field().map(|field| format!("mesh.{field}"));
+            }
+            Self::MeshFile { source: ReadError::MergeTolerance { .. }, .. } => {
+                "mesh.merge_tolerance".to_owned()
             }
             Self::MeshFile { .. } => "mesh.file".to_owned(),
             Self::Parameterisation(error) => return error.field(),

@@ -186,8 +186,13 @@ fn unpack_tar(reader: impl Read, limits: &Limits) -> Result<Files, SetupFileErro
 }
 
 fn unpack_zip(bytes: &[u8], limits: &Limits) -> Result<Files, SetupFileError> {
-    let mut archive = zip::ZipArchive::new(Cursor::new(bytes)).map_err(damaged)?;
     let mut collector = Collector::new(limits);
+    // Before the directory is read, whose entries take several times their bytes.
+    let entries = bytes.windows(4).filter(|bytes| bytes == b"PK\x01\x02").count();
+    if entries > limits.files.saturating_mul(8) {
+        return Err(collector.too_many("entries", entries as u64, limits.files as u64));
+    }
+    let mut archive = zip::ZipArchive::new(Cursor::new(bytes)).map_err(damaged)?;
     if archive.len() > limits.files.saturating_mul(4) {
         return Err(collector.too_many("entries", archive.len() as u64, limits.files as u64));
     }

@@ -20,7 +20,7 @@ mod parse;
 mod report;
 mod schema;
 
-pub use convert::{GeometryContent, SetupContent, read_geometry, read_setup};
+pub use convert::{GeometryContent, SetupContent, check_parameterisation, read_geometry, read_setup};
 pub use derived::{BUILD, decode_derived, encode_derived};
 pub use error::SetupFileError;
 pub use files::{ArchiveKind, Files, Limits, read_folder, read_geometry_folder, unpack};

@@ -3,7 +3,7 @@
 use serde::de::DeserializeOwned;
 
 use crate::SetupFileError;
-use crate::document::{GeometryDocument, SetupDocument};
+use crate::document::{GeometryDocument, ParameterisationDocument, SetupDocument};
 
 /// Parses a set-up file; the ending of its name decides between TOML and JSON.
 pub(crate) fn parse_setup(file: &str, bytes: &[u8]) -> Result<SetupDocument, SetupFileError> {
@@ -24,6 +24,17 @@ pub(crate) fn parse_geometry(
     parse_json(file, field, bytes)
 }
 
+/// Parses a set-up file that has a parameterisation only.
+pub(crate) fn parse_parameterisation(text: &str) -> Result<ParameterisationDocument, SetupFileError> {
+    #[derive(serde::Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Part {
+        #[serde(default)]
+        parameterisation: ParameterisationDocument,
+    }
+    parse_toml::<Part>("parameterisation", text.as_bytes()).map(|part| part.parameterisation)
+}
+
 /// Files that a document names, with the paths of the fields.
 pub(crate) fn references(document: &SetupDocument) -> Vec<(String, String)> {
     let mesh = document.mesh.file.iter().map(|file| ("mesh.file".to_owned(), file.clone()));
@@ -42,6 +53,13 @@ fn text<'a>(file: &str, bytes: &'a [u8]) -> Result<&'a str, SetupFileError> {
 }
 
 fn parse_toml<T: DeserializeOwned>(file: &str, bytes: &[u8]) -> Result<T, SetupFileError> {
+    /// The tree of a TOML document takes many times its bytes; JSON is read without one.
+    const LARGEST: usize = 16 << 20;
+    if bytes.len() > LARGEST {
+        let (field, count, limit) = (file.to_owned(), bytes.len() as u64, LARGEST as u64);
+        let what = "bytes of TOML (write JSON, or put the numbers into files of their own)";
+        return Err(SetupFileError::TooMany { field, what, count, limit });
+    }
     let syntax =
         |field: String, message: String| SetupFileError::Syntax { file: file.into(), field, message };
     let deserializer = toml::Deserializer::parse(text(file, bytes)?)

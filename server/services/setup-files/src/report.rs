@@ -33,6 +33,13 @@ pub fn report_json(report: &SetupReport) -> Value {
         "seam_residual": report.seam_residual,
         "watertight": report.watertight,
         "open_edges": report.open_edges,
+        "turned_cells": report.turned_cells,
+        "left_out": {
+            "nodes": report.left_out.nodes,
+            "merged_nodes": report.left_out.merged_nodes,
+            "other_cells": report.left_out.other_cells,
+            "collapsed_cells": report.left_out.collapsed_cells,
+        },
         "euler": report.euler,
         "pieces": report.pieces,
         "volume": report.volume,

@@ -180,3 +180,13 @@ fn folders_on_disk() {
     let error = read_folder(&folder.path().join("other.json"), &tight).expect_err("too large");
     assert!(matches!(error, SetupFileError::TooMany { what: "bytes", .. }), "{error}");
 }
+
+#[test]
+fn entries_are_counted_before_the_directory_is_read() {
+    let limits = Limits { files: 10, ..Limits::default() };
+    let names: Vec<String> = (0..81).map(|i| i.to_string()).collect();
+    let zip = zip_of(&names.iter().map(|name| (name.as_str(), &b""[..])).collect::<Vec<_>>());
+    // Cut off behind its entries, it has no directory that could be read.
+    let end = zip.len() - 22;
+    assert!(refused(ArchiveKind::Zip, &zip[..end], &limits).contains("81 entries exceed the limit of 10"));
+}

@@ -201,10 +201,10 @@ fn mesh_files() {
     assert!(error.to_string().starts_with("mesh (mesh.msh): line "), "{error}");
     d["mesh"] = json!({});
     assert_eq!(refused(&d), "mesh needs exactly one of file and (vertices with cells); found none");
-    d["mesh"] = json!({ "file": "mesh.msh", "merge_tolerance": 0.1 });
+    d["mesh"] = json!({ "file": "mesh.msh", "merge_tolerance": -0.1 });
     with_mesh.insert("setup.json".into(), d.to_string().into_bytes());
     let error = read_setup(&with_mesh, None, &Limits::default()).expect_err("meaningless");
-    assert_eq!(error.to_string(), "mesh.merge_tolerance = 0.1 applies to .stl files only; remove it");
+    assert_eq!(error.to_string(), "mesh.merge_tolerance = -0.1 must be 0 or greater");
 }
 
 #[test]
@@ -325,4 +325,26 @@ fn paths_that_leave_the_folder() {
         assert!(text.starts_with("components[1].file: path '"), "{path}: {text}");
     }
     assert!(with(&"x".repeat(1000)).contains("is too long"));
+}
+
+#[test]
+fn names_have_a_length() {
+    let long = "n".repeat(257);
+    for (pointer, field) in [
+        ("/name", "name"),
+        ("/components/0/name", "components[0].name"),
+        ("/mesh/vertex_groups/0/name", "mesh.vertex_groups[0].name"),
+    ] {
+        let mut spoilt = document();
+        *spoilt.pointer_mut(pointer).expect(pointer) = json!(long);
+        let error = refused(&spoilt);
+        assert!(error.starts_with(field) && error.contains("257 bytes"), "{error}");
+        assert!(error.len() < 200, "{error}");
+    }
+}
+
+#[test]
+fn toml_has_a_size() {
+    let error = toml_with(&"# a long remark\n".repeat(1 << 20));
+    assert!(error.contains("bytes of TOML"), "{error}");
 }

@@ -39,6 +39,15 @@ pub enum StoreError {
         /// The system's message.
         reason: String,
     },
+    /// The store is gone, or is not the one that was opened.
+    #[error(
+        "the store has vanished, {reason}: bring it back (a folder that was moved, a disk that is not mounted); nothing is read \
+         or written until then"
+    )]
+    Vanished {
+        /// How that was found.
+        reason: String,
+    },
     /// The store cannot be opened.
     #[error("cannot open the store {location}: {reason}")]
     Location {
@@ -57,15 +66,24 @@ impl StoreError {
     /// Classified by the system's error at its root.
     pub(crate) fn of(object: &str, error: &object_store::Error) -> Self {
         let innermost = chain(error).last().map(ToString::to_string).unwrap_or_default();
-        let (object, reason) = (object.to_owned(), innermost);
-        match io_kind(error) {
+        Self::classified(object, io_kind(error), innermost, error.to_string())
+    }
+
+    /// Classified by an error of the system.
+    pub(crate) fn of_system(object: &str, error: &io::Error) -> Self {
+        Self::classified(object, Some(error.kind()), error.to_string(), error.to_string())
+    }
+
+    fn classified(object: &str, kind: Option<io::ErrorKind>, reason: String, whole: String) -> Self {
+        let object = object.to_owned();
+        match kind {
             Some(io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded | io::ErrorKind::FileTooLarge) => {
                 Self::Full { object, reason }
             }
             Some(io::ErrorKind::ReadOnlyFilesystem | io::ErrorKind::PermissionDenied) => {
                 Self::ReadOnly { object, reason }
             }
-            _ => Self::Unavailable { object, reason: error.to_string() },
+            _ => Self::Unavailable { object, reason: whole },
         }
     }
 }
@@ -75,13 +93,16 @@ impl From<StoreError> for ServiceError {
         let code = match error {
             StoreError::Full { .. } => Code::ResourceExhausted,
             StoreError::Corrupt { .. } => Code::Internal,
-            StoreError::ReadOnly { .. } | StoreError::Location { .. } | StoreError::Unavailable { .. } => {
-                Code::Unavailable
-            }
+            StoreError::ReadOnly { .. }
+            | StoreError::Location { .. }
+            | StoreError::Unavailable { .. }
+            | StoreError::Vanished { .. } => Code::Unavailable,
         };
         let answer = Self::new(code, error.to_string());
         match error {
-            StoreError::Unavailable { .. } => answer.retry_after(Duration::from_secs(1)),
+            StoreError::Unavailable { .. } | StoreError::Vanished { .. } => {
+                answer.retry_after(Duration::from_secs(1))
+            }
             _ => answer,
         }
     }

@@ -1,11 +1,11 @@
 //! Records, and the hashes that verify them.
 
-use std::time::SystemTime;
+use std::time::{Duration, SystemTime};
 
 use bytes::Bytes;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
-use crate::error::StoreError;
+use crate::{error::StoreError, rows::KEPT};
 
 /// The files of a set-up: the set-up file first, followed by the files to which it refers by path.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -88,6 +88,7 @@ pub struct AccessRecord {
     /// Size of its files.
     pub bytes: u64,
     /// Time of the tenant's first upload.
+    #[serde(with = "instant")]
     pub created: SystemTime,
 }
 
@@ -103,11 +104,99 @@ pub struct SessionRecord {
     /// The user's label.
     pub label: String,
     /// Time of its opening.
+    #[serde(with = "instant")]
     pub created: SystemTime,
     /// Time at which this generation was written.
+    #[serde(with = "instant")]
     pub updated: SystemTime,
     /// Id of the request that wrote it; may be empty.
     pub request: String,
+    /// Hash of the request that opened it; empty in records of older versions.
+    #[serde(default)]
+    pub opened: String,
+    /// The last updates that had a request id, oldest first: as many as there are generations.
+    #[serde(default)]
+    pub updates: Vec<Update>,
+    /// Whether the tenant had uploaded the set-up itself when it opened the session.
+    #[serde(default)]
+    pub own: bool,
+    /// Bytes for which its entry in the index stands.
+    #[serde(default)]
+    pub charged: u64,
+}
+
+/// An update of a session that had a request id.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Update {
+    /// Hash of the request id.
+    pub id: String,
+    /// Hash of the request's content.
+    pub content: String,
+    /// The generation that it wrote.
+    pub generation: u64,
+}
+
+impl SessionRecord {
+    /// Bytes of a session that do not count for its tenant.
+    pub const FREE: u64 = 64 << 10;
+
+    /// Notes the update that writes a generation, and forgets those whose generations are not kept.
+    pub fn note(&mut self, update: Update) {
+        let first = (update.generation + 1).saturating_sub(KEPT);
+        self.updates.retain(|update| update.generation >= first);
+        self.updates.push(update);
+    }
+
+    /// Bytes that count for the tenant: those of all generations that are kept, beyond [`FREE`](Self::FREE), in steps of
+    /// powers of two. Never fewer than before.
+    pub fn charge(&self) -> u64 {
+        let numbers =
+            self.design.0.len() + self.control_points.iter().map(|(_, of)| of.0.len()).sum::<usize>();
+        let names: usize = self.control_points.iter().map(|(name, _)| name.len()).sum();
+        // 16 digits for each number; labels, ids, hashes and times are within what is free.
+        let row = KEPT * (16 * numbers as u64 + names as u64);
+        let beyond = if row > Self::FREE { row.next_power_of_two() - Self::FREE } else { 0 };
+        beyond.max(self.charged)
+    }
+}
+
+/// Times, before 1970 too: whole seconds, rounded down, and nanoseconds.
+mod instant {
+    use std::time::{Duration, SystemTime};
+
+    use serde::{Deserialize, Deserializer, Serialize, Serializer, de::Error};
+
+    #[derive(Serialize, Deserialize)]
+    struct Parts {
+        secs_since_epoch: i64,
+        nanos_since_epoch: u32,
+    }
+
+    pub fn serialize<S: Serializer>(time: &SystemTime, serializer: S) -> Result<S::Ok, S::Error> {
+        let (secs, nanos) = match time.duration_since(SystemTime::UNIX_EPOCH) {
+            Ok(after) => (i128::from(after.as_secs()), after.subsec_nanos()),
+            Err(before) => {
+                let before = before.duration();
+                match before.subsec_nanos() {
+                    0 => (-i128::from(before.as_secs()), 0),
+                    nanos => (-i128::from(before.as_secs()) - 1, 1_000_000_000 - nanos),
+                }
+            }
+        };
+        let secs_since_epoch = i64::try_from(secs).map_err(serde::ser::Error::custom)?;
+        Parts { secs_since_epoch, nanos_since_epoch: nanos }.serialize(serializer)
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<SystemTime, D::Error> {
+        let Parts { secs_since_epoch, nanos_since_epoch } = Parts::deserialize(deserializer)?;
+        let seconds = Duration::from_secs(secs_since_epoch.unsigned_abs());
+        let whole = match secs_since_epoch < 0 {
+            true => SystemTime::UNIX_EPOCH.checked_sub(seconds),
+            false => SystemTime::UNIX_EPOCH.checked_add(seconds),
+        };
+        let time = whole.and_then(|whole| whole.checked_add(Duration::from_nanos(nanos_since_epoch.into())));
+        time.ok_or_else(|| D::Error::custom(format!("{secs_since_epoch} s is no time of this system")))
+    }
 }
 
 /// Numbers that keep every bit: 16 hexadecimal digits each.
@@ -179,9 +268,73 @@ pub(crate) fn unseal_bytes(object: &str, sealed: Bytes) -> Result<Bytes, StoreEr
     Ok(sealed.slice(..length))
 }
 
+pub(crate) fn check_hash(name: &str, hash: &str, content: &[u8]) -> Result<(), StoreError> {
+    if blake3::hash(content).to_hex().as_str() == hash {
+        return Ok(());
+    }
+    Err(StoreError::corrupt(name, format!("the hash of its {} bytes is not its name", content.len())))
+}
+
+/// Whether the last write was at least that long ago.
+pub(crate) fn older(modified: SystemTime, grace: Duration) -> bool {
+    modified.elapsed().unwrap_or_default() >= grace
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn times_are_kept_before_1970_and_as_older_versions_wrote_them() {
+        #[derive(Debug, PartialEq, Serialize, Deserialize)]
+        struct At(#[serde(with = "instant")] SystemTime);
+        let at = |nanoseconds: i64| match nanoseconds < 0 {
+            true => SystemTime::UNIX_EPOCH - Duration::from_nanos(nanoseconds.unsigned_abs()),
+            false => SystemTime::UNIX_EPOCH + Duration::from_nanos(nanoseconds.unsigned_abs()),
+        };
+        for nanoseconds in [0, 1, -1, -1_000_000_000, -1_000_000_001, -157_766_400_500_000_000, 1 << 60] {
+            let time = At(at(nanoseconds));
+            let text = serde_json::to_string(&time).unwrap();
+            assert_eq!(serde_json::from_str::<At>(&text).unwrap(), time, "{text}");
+        }
+        let now = SystemTime::now();
+        assert_eq!(serde_json::to_string(&At(now)).unwrap(), serde_json::to_string(&now).unwrap());
+        assert!(
+            serde_json::from_str::<At>(
+                r#"{"secs_since_epoch":9223372036854775807,"nanos_since_epoch":4294967295}"#
+            )
+            .is_err()
+        );
+    }
+
+    #[test]
+    fn a_session_is_charged_for_what_it_can_hold_in_steps() {
+        let mut record = SessionRecord {
+            setup: String::new(),
+            design: Numbers(vec![0.0; 45]),
+            control_points: Vec::new(),
+            label: String::new(),
+            created: SystemTime::UNIX_EPOCH,
+            updated: SystemTime::UNIX_EPOCH,
+            request: String::new(),
+            opened: String::new(),
+            updates: Vec::new(),
+            own: true,
+            charged: 0,
+        };
+        assert_eq!(record.charge(), 0);
+        record.control_points = vec![("wing".to_owned(), Numbers(vec![0.0; 5600]))];
+        record.charged = record.charge();
+        let written = KEPT * seal(&record).unwrap().len() as u64;
+        assert!((written - SessionRecord::FREE..2 * written).contains(&record.charged), "{}", record.charged);
+        record.control_points.clear();
+        assert!(record.charge() > 0, "what was reserved stays");
+        for generation in 2..30 {
+            record.note(Update { id: String::new(), content: String::new(), generation });
+        }
+        assert_eq!(record.updates.first().map(|update| update.generation), Some(30 - KEPT));
+        assert_eq!(record.updates.len() as u64, KEPT);
+    }
 
     #[test]
     fn numbers_keep_every_bit() {

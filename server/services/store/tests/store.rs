@@ -10,7 +10,9 @@ use std::{
     time::{Duration, SystemTime},
 };
 
-use moldline_store::{AccessRecord, Claim, Numbers, SessionRecord, Shared, Store, StoreError};
+use moldline_store::{
+    AccessRecord, Claim, Excess, Kind, Numbers, Quota, Schedule, SessionRecord, Shared, Store, StoreError,
+};
 
 fn files(content: &str) -> Vec<(String, Vec<u8>)> {
     let big: Vec<u8> = content.bytes().cycle().take(100_000).collect();
@@ -39,6 +41,10 @@ fn session(setup: &str, x: f64) -> SessionRecord {
         created: SystemTime::UNIX_EPOCH,
         updated: SystemTime::UNIX_EPOCH,
         request: String::new(),
+        opened: String::new(),
+        updates: Vec::new(),
+        own: true,
+        charged: 0,
     }
 }
 
@@ -157,8 +163,8 @@ async fn flipped_bits_and_truncated_files_are_found_and_named() {
     for path in objects(folder.path()) {
         let name = path.strip_prefix(folder.path()).unwrap().to_str().unwrap().to_owned();
         let kind = name.split('/').next().unwrap().to_owned();
-        // `format` identifies the folder, a grant is empty.
-        if kind == "format" || kind == "grant" {
+        // `format` and `identity` identify the folder, a grant and an entry of the index have names only.
+        if matches!(kind.as_str(), "format" | "identity" | "grant" | "index") {
             continue;
         }
         let whole = fs::read(&path).unwrap();
@@ -180,7 +186,6 @@ async fn flipped_bits_and_truncated_files_are_found_and_named() {
             assert_eq!(object, name);
             if kind == "access" {
                 assert_eq!(store.granted("b", &id).await.unwrap(), None);
-                assert_eq!(store.owned("a").await.unwrap(), []);
             }
         }
         fs::write(&path, whole).unwrap();
@@ -214,22 +219,28 @@ async fn a_collection_removes_unreachable_objects_that_are_old_enough() {
 async fn collects(store: &Store, blobs: usize) {
     let id = filled(store).await;
     let other = store.put_setup(&files("of nobody")).await.unwrap();
-    for number in 2..=4 {
-        store.put_session("a", "s", number, &session(&id, 0.0)).await.unwrap();
+    for number in 2..=20 {
+        assert!(store.put_session("a", "s", number, &session(&id, number as f64)).await.unwrap());
     }
     store.put_session("a", "t", 1, &session(&other, 0.0)).await.unwrap();
-    store.close_session("a", "t").await.unwrap();
+    store.close_session("a", "t", "opened").await.unwrap();
     assert!(store.collect(Duration::from_secs(60), false).await.unwrap().objects.is_empty(), "all is young");
     let planned = store.collect(Duration::ZERO, true).await.unwrap();
     assert!(store.setup(&other).await.unwrap().is_some(), "nothing was removed");
     let collected = store.collect(Duration::ZERO, false).await.unwrap();
     assert_eq!(collected, planned);
     let gone = |what: &str| collected.objects.iter().filter(|name| name.starts_with(what)).count();
-    assert_eq!((gone("blob/"), gone("setup/"), gone("session/a/t/"), gone("session/a/s/")), (blobs, 1, 2, 2));
-    assert_eq!(collected.objects.len(), blobs + 5);
+    assert_eq!((gone("blob/"), gone("setup/")), (blobs, 1));
+    assert_eq!(collected.objects.len(), blobs + 1, "{collected:?}");
     assert_eq!(store.setup(&other).await.unwrap(), None);
     assert!(store.setup(&id).await.unwrap().is_some());
-    assert_eq!(store.session("a", "s").await.unwrap().unwrap().number, 4);
+    // Old generations went as new ones came, all of a closed session but its mark as it was closed.
+    let latest = store.session("a", "s").await.unwrap().unwrap();
+    assert_eq!((latest.number, latest.record.design), (20, Numbers(vec![20.0])));
+    assert!(store.session_at("a", "s", 13).await.unwrap().is_some());
+    assert!(store.session_at("a", "s", 12).await.unwrap().is_none());
+    assert!(store.session_at("a", "t", 1).await.unwrap().is_none());
+    assert_eq!(store.closed_session("a", "t").await.unwrap().as_deref(), Some("opened"));
     assert_eq!(store.verify().await.unwrap().faults, []);
     assert!(store.collect(Duration::ZERO, false).await.unwrap().objects.is_empty());
 }
@@ -292,8 +303,13 @@ async fn acknowledged_objects_survive_sigkill_and_partial_ones_are_never_visible
                         acknowledged += 1;
                     }
                     ["session", number, id, k] => {
-                        let found = store.session_at("a", "s", number.parse().unwrap()).await.unwrap();
-                        assert_eq!(found.unwrap(), session(id, k.parse().unwrap()));
+                        let number: u64 = number.parse().unwrap();
+                        let found = store.session_at("a", "s", number).await.unwrap();
+                        let latest = store.session("a", "s").await.unwrap().unwrap().number;
+                        assert!(found.is_some() || number + 8 <= latest, "generation {number} of {latest}");
+                        if let Some(found) = found {
+                            assert_eq!(found, session(id, k.parse().unwrap()));
+                        }
                     }
                     _ => {}
                 }
@@ -347,4 +363,267 @@ async fn invalid_locations_are_rejected() {
     }
     fs::write(folder.path().join("format"), b"something else").unwrap();
     assert!(Store::open(folder.path().to_str().unwrap()).await.is_err());
+}
+
+#[cfg(unix)]
+#[tokio::test]
+async fn folders_and_files_are_for_their_owner_alone() {
+    use std::os::unix::fs::PermissionsExt;
+    let outer = tempfile::tempdir().unwrap();
+    let (made, open) = (outer.path().join("made"), outer.path().join("open"));
+    fs::create_dir(&open).unwrap();
+    fs::set_permissions(&open, fs::Permissions::from_mode(0o755)).unwrap();
+    for place in [made, open] {
+        filled(&Store::open(place.to_str().unwrap()).await.unwrap()).await;
+        let files = objects(&place);
+        let folders: BTreeSet<&Path> = files.iter().flat_map(|path| path.ancestors().skip(1)).collect();
+        for path in files.iter().map(PathBuf::as_path).chain(folders) {
+            if path.starts_with(&place) {
+                let mode = fs::metadata(path).unwrap().permissions().mode();
+                assert_eq!(mode & 0o077, 0, "{} has {mode:o}", path.display());
+            }
+        }
+    }
+}
+
+fn vanished<T: std::fmt::Debug>(outcome: Result<T, StoreError>) {
+    assert!(matches!(&outcome, Err(StoreError::Vanished { .. })), "{outcome:?}");
+}
+
+#[tokio::test]
+async fn a_store_that_vanished_is_told_and_never_replaced() {
+    let outer = tempfile::tempdir().unwrap();
+    let (place, aside) = (outer.path().join("store"), outer.path().join("aside"));
+    let store = Store::open(place.to_str().unwrap()).await.unwrap();
+    let id = filled(&store).await;
+    assert!(store.health().await.unwrap().free.unwrap() > 0);
+    fs::rename(&place, &aside).unwrap();
+    for another in [false, true] {
+        if another {
+            // An empty disk under the same name, on which another store was begun.
+            Store::open(place.to_str().unwrap()).await.unwrap();
+        }
+        let before = place.exists().then(|| objects(&place));
+        vanished(store.setup(&id).await);
+        vanished(store.session("a", "s").await);
+        vanished(store.granted("b", &id).await);
+        vanished(store.put_setup(&files("content")).await);
+        vanished(store.put_session("a", "t", 1, &session(&id, 0.5)).await);
+        vanished(store.claim("a", "another", "hash").await);
+        vanished(store.collect(Duration::ZERO, false).await);
+        std::thread::sleep(Duration::from_millis(1100));
+        vanished(store.health().await);
+        assert_eq!(place.exists().then(|| objects(&place)), before, "nothing was written");
+    }
+    fs::remove_dir_all(&place).unwrap();
+    fs::rename(&aside, &place).unwrap();
+    is_all_there(&store, &id, "first").await;
+    std::thread::sleep(Duration::from_millis(1100));
+    store.health().await.unwrap();
+}
+
+/// What the tenant `a` may hold.
+const QUOTA: Quota = Quota { setups: 5, sessions: 20, bytes: 1000 };
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn a_quota_holds_for_many_at_once_on_several_servers() {
+    let folder = tempfile::tempdir().unwrap();
+    let places = [Some(folder.path().to_str().unwrap().to_owned()), remote()];
+    for place in places.into_iter().flatten() {
+        // Handles of one server share turns, those of another one do not.
+        for servers in [1, 2, 3] {
+            let tenant = format!("tenant-{servers}");
+            let mut stores = Vec::new();
+            for _ in 0..servers {
+                stores.push(Store::open(&place).await.unwrap());
+            }
+            for (kind, limit) in [(Kind::Session, 20), (Kind::Setup, 5)] {
+                let tries = (0..60).map(|k: usize| {
+                    let (store, tenant) = (stores[k % servers].clone(), tenant.clone());
+                    tokio::spawn(async move {
+                        let id = format!("{k:032}");
+                        let place = store.reserve(&tenant, kind, &id, 10, &QUOTA).await.unwrap();
+                        place.map(|place| place.keep()).is_ok()
+                    })
+                });
+                let mut kept = 0;
+                for one in tries.collect::<Vec<_>>() {
+                    kept += usize::from(one.await.unwrap());
+                }
+                assert_eq!(kept, stores[0].entries(&tenant, kind).await.unwrap().len());
+                assert!(kept <= limit, "{kept} of {limit} with {servers} servers");
+                if servers == 1 {
+                    assert_eq!(kept, limit, "nobody is pushed out");
+                }
+                // What is free can be had.
+                for k in 0..limit {
+                    let id = format!("another {k}");
+                    if let Ok(place) = stores[0].reserve(&tenant, kind, &id, 10, &QUOTA).await.unwrap() {
+                        place.keep();
+                    }
+                }
+                assert_eq!(stores[0].entries(&tenant, kind).await.unwrap().len(), limit);
+            }
+        }
+    }
+}
+
+#[tokio::test]
+async fn bytes_count_for_set_ups_sessions_and_what_was_deleted() {
+    let store = Store::in_memory();
+    let reserve = async |kind, id: &str, bytes| {
+        let place = store.reserve("a", kind, id, bytes, &QUOTA).await.unwrap();
+        place.map(|place| place.keep())
+    };
+    assert_eq!(reserve(Kind::Setup, "one", 600).await, Ok(()));
+    assert_eq!(reserve(Kind::Session, "s", 300).await, Ok(()));
+    assert_eq!(reserve(Kind::Setup, "two", 101).await, Err(Excess::Bytes(900)));
+    assert_eq!(reserve(Kind::Session, "s", 350).await, Ok(()), "a session grows");
+    assert_eq!(reserve(Kind::Session, "s", 401).await, Err(Excess::Bytes(950)));
+    assert_eq!(store.usage("a").await.unwrap().sessions.bytes, 350, "the larger entry counts");
+    assert_eq!(reserve(Kind::Setup, "one", 600).await, Ok(()), "it is there");
+    assert_eq!(store.usage("b").await.unwrap(), moldline_store::Usage::default());
+    // Deleted set-ups count until they are collected, as often again.
+    let record = AccessRecord { bytes: 600, ..access(Shared::Private) };
+    for k in 0..4 {
+        let id = format!("{k:064}");
+        let held = reserve(Kind::Setup, &id, 50).await;
+        if k == 3 {
+            assert!(matches!(held, Err(Excess::Deleted(_))), "{held:?}");
+            break;
+        }
+        assert_eq!(held, Ok(()));
+        assert!(store.put_access("a", &id, 1, &AccessRecord { bytes: 600, ..record.clone() }).await.unwrap());
+        assert!(
+            store.put_access("a", &id, 2, &AccessRecord { owned: false, ..record.clone() }).await.unwrap()
+        );
+    }
+    let usage = store.usage("a").await.unwrap();
+    assert_eq!((usage.setups.count, usage.deleted.count, usage.deleted.bytes), (1, 3, 1800));
+    store.collect(Duration::ZERO, false).await.unwrap();
+    let usage = store.usage("a").await.unwrap();
+    assert_eq!(
+        (usage.setups.count, usage.deleted.count, usage.sessions.count),
+        (0, 0, 0),
+        "nor had the rest records"
+    );
+}
+
+#[tokio::test]
+async fn the_index_follows_the_records_whatever_crashes_left() {
+    let (folder, store) = folder().await;
+    let id = filled(&store).await;
+    store.put_session("a", "closed", 1, &session(&id, 0.5)).await.unwrap();
+    store.close_session("a", "closed", "").await.unwrap();
+    let expected = async || {
+        let entries = async |kind| store.entries("a", kind).await.unwrap().into_keys().collect::<Vec<_>>();
+        assert_eq!(entries(Kind::Setup).await, [id.as_str()]);
+        assert_eq!(entries(Kind::Session).await, ["s"]);
+        assert_eq!(store.survey().await.unwrap().sessions, 1);
+    };
+    // Lost entries, and entries of nothing.
+    fs::remove_dir_all(folder.path().join("index")).unwrap();
+    for (kind, of) in [(Kind::Setup, "nothing"), (Kind::Session, "closed"), (Kind::Session, "never")] {
+        store.reserve("a", kind, of, 1, &QUOTA).await.unwrap().unwrap().keep();
+    }
+    store.collect(Duration::ZERO, false).await.unwrap();
+    expected().await;
+    // A reservation that nobody keeps.
+    drop(store.reserve("a", Kind::Session, "dropped", 1, &QUOTA).await.unwrap().unwrap());
+    drop(store.reserve("a", Kind::Session, "s", 1, &QUOTA).await.unwrap().unwrap());
+    tokio::time::sleep(Duration::from_millis(300)).await;
+    expected().await;
+    // A store of the format before has none.
+    fs::remove_dir_all(folder.path().join("index")).unwrap();
+    let old = folder.path().join("session/a/old");
+    fs::create_dir_all(&old).unwrap();
+    fs::write(old.join("closed"), "closed").unwrap();
+    fs::write(folder.path().join("format"), "moldline store 1").unwrap();
+    let place = folder.path().to_str().unwrap();
+    Store::open(place).await.unwrap();
+    expected().await;
+    assert_eq!(fs::read_to_string(folder.path().join("format")).unwrap(), "moldline store 2");
+    assert_eq!(store.session("a", "old").await.unwrap(), None);
+    assert!(store.closed_session("a", "old").await.unwrap().is_some());
+}
+
+#[tokio::test]
+async fn sharing_leaves_grants_for_those_who_are_named_last() {
+    let (folder, store) = folder().await;
+    let tenants = |of: std::ops::Range<usize>| Shared::Tenants(of.map(|k| format!("tenant-{k}")).collect());
+    let id = store.put_setup(&files("content")).await.unwrap();
+    let steps =
+        [tenants(0..50), tenants(40..60), Shared::Public, tenants(0..2), Shared::Private, tenants(7..8)];
+    for (number, shared) in (1..).zip(steps) {
+        store.put_access("owner", &id, number, &access(shared.clone())).await.unwrap();
+        let names = match &shared {
+            Shared::Private => 0,
+            Shared::Public => 1,
+            Shared::Tenants(tenants) => tenants.len(),
+        };
+        let grants = folder.path().join("grant");
+        assert_eq!(if grants.exists() { objects(&grants).len() } else { 0 }, names, "{shared:?}");
+        for k in 0..60 {
+            let tenant = format!("tenant-{k}");
+            let expected = match &shared {
+                Shared::Private => false,
+                Shared::Public => true,
+                Shared::Tenants(tenants) => tenants.contains(&tenant),
+            };
+            assert_eq!(store.granted(&tenant, &id).await.unwrap().is_some(), expected, "{tenant}");
+        }
+    }
+}
+
+#[tokio::test]
+async fn a_writer_that_slept_through_many_generations_loses() {
+    let (_folder, on_disk) = folder().await;
+    for store in [Store::in_memory(), on_disk] {
+        for number in 1..=20 {
+            assert!(store.put_session("a", "s", number, &session("setup", 0.0)).await.unwrap());
+        }
+        assert!(store.session_at("a", "s", 6).await.unwrap().is_none());
+        assert!(!store.put_session("a", "s", 6, &session("setup", 1.0)).await.unwrap(), "6 was taken once");
+        assert!(!store.put_session("a", "s", 15, &session("setup", 1.0)).await.unwrap());
+        store.close_session("a", "s", "").await.unwrap();
+        assert!(!store.put_session("a", "s", 21, &session("setup", 1.0)).await.unwrap(), "it is closed");
+        assert_eq!(store.session("a", "s").await.unwrap(), None);
+    }
+}
+
+#[tokio::test]
+async fn a_missing_set_up_that_an_owner_or_a_session_needs_is_found() {
+    let (folder, store) = folder().await;
+    let id = filled(&store).await;
+    fs::remove_file(folder.path().join("setup").join(&id)).unwrap();
+    let faults = |verified: moldline_store::Verified| -> Vec<String> {
+        verified.faults.iter().map(ToString::to_string).collect()
+    };
+    let found = faults(store.verify().await.unwrap());
+    assert_eq!(found.len(), 2, "{found:?}");
+    assert!(found.iter().all(|fault| fault.contains(&format!("setup/{id}"))));
+    assert!(found[0].contains(&format!("access/a/{id}")) && found[1].contains("session/a/s"), "{found:?}");
+    // Nobody needs it once its owner and the session are gone.
+    store.close_session("a", "s", "").await.unwrap();
+    store.put_access("a", &id, 2, &AccessRecord { owned: false, ..access(Shared::Private) }).await.unwrap();
+    assert!(faults(store.verify().await.unwrap()).is_empty());
+}
+
+#[tokio::test]
+async fn a_store_is_collected_by_one_of_many_servers() {
+    let (folder, store) = folder().await;
+    let schedule = Schedule { every: Duration::from_secs(3600), grace: Duration::ZERO };
+    filled(&store).await;
+    store.put_setup(&files("of nobody")).await.unwrap();
+    let mut servers = Vec::new();
+    for _ in 0..4 {
+        servers.push(Store::open(folder.path().to_str().unwrap()).await.unwrap());
+    }
+    let tries = servers.iter().map(|server| server.collect_if_due(schedule));
+    let done: Vec<_> =
+        futures::future::join_all(tries).await.into_iter().filter_map(Result::unwrap).collect();
+    assert_eq!(done.len(), 1);
+    assert_eq!(done[0].objects.len(), 3, "{done:?}");
+    assert!(store.collect_if_due(schedule).await.unwrap().is_none(), "it is not due");
+    assert_eq!(store.verify().await.unwrap().faults, []);
 }

@@ -12,7 +12,7 @@ Axes: x aft, y starboard, z up; metres and radians. The service stores nothing d
 is sent again. :mod:`moldline.panel.aio` is the same for asyncio.
 """
 
-from moldline.panel.client import Client, Configuration
+from moldline.panel.client import Client, Configuration, serve
 from moldline.panel.facts import parts
 from moldline.panel.model import (
     COEFFICIENTS,
@@ -53,4 +53,5 @@ __all__ = [
     "Symmetry",
     "TrailingEdges",
     "parts",
+    "serve",
 ]

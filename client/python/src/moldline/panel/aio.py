@@ -51,11 +51,21 @@ class Client(AsyncCaller):
         components: Iterable[str] | None = None,
         solver: Solver | None = None,
         tolerance: float | None = None,
+        merge_tolerance: float | None = None,
         timeout: float | None = None,
     ) -> Configuration:
         """As :meth:`moldline.panel.Client.create_configuration`."""
         request = operations.configuration_request(
-            vertices, cells, cell_groups, vertex_groups, symmetry, trailing_edges, components, solver, tolerance
+            vertices,
+            cells,
+            cell_groups,
+            vertex_groups,
+            symmetry,
+            trailing_edges,
+            components,
+            solver,
+            tolerance,
+            merge_tolerance,
         )
         return Configuration(self, await self._run(operations.create(request), timeout), request)
 

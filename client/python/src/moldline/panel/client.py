@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 from numpy.typing import ArrayLike
 
@@ -44,6 +46,7 @@ class Client(Caller):
         components: Iterable[str] | None = None,
         solver: Solver | None = None,
         tolerance: float | None = None,
+        merge_tolerance: float | None = None,
         timeout: float | None = None,
     ) -> Configuration:
         """Checks a mesh and finds everything that does not depend on the positions of its vertices.
@@ -59,18 +62,34 @@ class Client(Caller):
         `components`: cell groups whose forces are returned; all if `None`.
         `solver`: chosen by the number of unknowns if `None`.
         `tolerance`: residual relative to the right-hand side; 1e-12 if `None`.
+        `merge_tolerance`: metres within which vertices become one, at their mean; none if `None`. All arrays, and
+        derivatives, keep the vertices given.
 
         Raises :class:`moldline.InvalidArgument` naming the wrong cell or edge, :class:`moldline.ResourceExhausted` if an
         analysis would need more memory than the server allows.
         """
         request = operations.configuration_request(
-            vertices, cells, cell_groups, vertex_groups, symmetry, trailing_edges, components, solver, tolerance
+            vertices,
+            cells,
+            cell_groups,
+            vertex_groups,
+            symmetry,
+            trailing_edges,
+            components,
+            solver,
+            tolerance,
+            merge_tolerance,
         )
         return Configuration(self, self._run(operations.create(request), timeout), request)
 
     def get_configuration(self, configuration_id: str, *, timeout: float | None = None) -> Configuration:
         """The configuration with this id. Raises :class:`moldline.NotFound` if the server does not hold it, or no longer."""
         return Configuration(self, self._run(operations.get(configuration_id), timeout), None)
+
+
+def serve(*arguments: str, binary: str | os.PathLike[str] | None = None, **options: Any) -> Client:
+    """As :func:`moldline.serve`, for the panel service: `arguments` are those of `moldline panel serve`."""
+    return Client._with_server(("panel", "serve", *arguments), binary, options)
 
 
 class Configuration(ConfigurationFacts):

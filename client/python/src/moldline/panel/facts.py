@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from moldline import arrays
-from moldline.mesh import Mesh, write_cells
+from moldline import arrays, display, pictures
+from moldline.mesh import Mesh, blocks, write_cells
 from moldline.panel import convert
 from moldline.panel.model import Analysis
 from moldline.v1 import panel_service_pb2 as wire
@@ -41,13 +42,47 @@ class ConfigurationFacts:
 
     def write_vtu(self, path: str | os.PathLike[str], analysis: Analysis) -> None:
         """Writes the mesh of an analysis with its pressure coefficients as a VTK unstructured grid (.vtu)."""
+        at_points, of_cells = _pressures(analysis)
+        write_cells(path, *self._surface(analysis), at_points, of_cells)
+
+    def to_pyvista(self, analysis: Analysis) -> Any:
+        """The mesh of an analysis as a `pyvista.PolyData` with `cp`, its pressure coefficients; needs ``moldline[plot]``."""
+        vertices, cells = self._surface(analysis)
+        at_points, of_cells = _pressures(analysis)
+        return pictures.polygons(vertices, blocks(cells), at_points, of_cells)
+
+    def _surface(self, analysis: Analysis) -> tuple[NDArray[np.float64], NDArray[np.uint32]]:
+        """Vertices and cells of an analysis."""
         if self._request is None:
             raise ValueError("another client created this configuration and has its cells: use moldline.write_cells")
         vertices = analysis.point.vertices
         if vertices is None:
             vertices = arrays.from_wire(self._request.vertices)
-        cells = arrays.from_wire(self._request.cells)
-        write_cells(path, vertices, cells, {"cp": analysis.vertex_cp}, {"cp": analysis.cp})
+        return np.asarray(vertices, dtype=np.float64), arrays.from_wire(self._request.cells)
+
+    def __repr__(self) -> str:
+        sizes = f"{self.vertex_count} vertices, {self.cell_count} cells, {self.unknowns} unknowns"
+        return f"<{type(self).__name__} {self.id[:12]}: {sizes}, solver {self.solver}>"
+
+    def _repr_html_(self) -> str:
+        rows = [
+            ("vertices", self.vertex_count),
+            ("cells", self.cell_count),
+            ("unknowns", self.unknowns),
+            ("plane of symmetry", "yes" if self.symmetric else "no"),
+            ("trailing edges", len(self.trailing_edges)),
+            ("solver", self.solver),
+            ("memory of an analysis, MB", self.memory / 1e6),
+            ("parts", ", ".join(self.components)),
+        ]
+        return display.table(f"Configuration {self.id[:12]}", ("", ""), rows)
+
+
+def _pressures(analysis: Analysis) -> tuple[dict[str, NDArray[np.float64]], dict[str, NDArray[np.float64]]]:
+    """Pressure coefficients at vertices and of cells, by name. Raises `ValueError` if they were not requested."""
+    if not len(analysis.cp):
+        raise ValueError("the analysis has no pressures: ask for them with pressures=True")
+    return {"cp": analysis.vertex_cp}, {"cp": analysis.cp}
 
 
 def parts(mesh: Mesh) -> dict[str, NDArray[np.uint32]]:

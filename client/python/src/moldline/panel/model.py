@@ -9,6 +9,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from moldline import display
+from moldline.content import ByContent
+
 Array = NDArray[np.float64]
 
 
@@ -22,8 +25,8 @@ class Groups:
         object.__setattr__(self, "names", names)
 
 
-@dataclass(frozen=True)
-class Edges:
+@dataclass(frozen=True, eq=False, repr=False)
+class Edges(ByContent):
     """Trailing edges are these pairs of vertices, uint32, (k, 2)."""
 
     pairs: ArrayLike
@@ -85,8 +88,8 @@ class Coefficients:
 COEFFICIENTS = tuple(each.name for each in fields(Coefficients))
 
 
-@dataclass(frozen=True)
-class Loads:
+@dataclass(frozen=True, eq=False, repr=False)
+class Loads(ByContent):
     """Force and moment coefficients of a part of the surface, from the pressure."""
 
     #: (3,): force along x, y, z over dynamic pressure and reference area.
@@ -97,8 +100,8 @@ class Loads:
     drag: float
 
 
-@dataclass(frozen=True)
-class Sections:
+@dataclass(frozen=True, eq=False, repr=False)
+class Sections(ByContent):
     """Loads along the trailing edges of the solved half."""
 
     #: uint32, (k, 2): the trailing edges, as pairs of vertices.
@@ -111,8 +114,8 @@ class Sections:
     loads: Array
 
 
-@dataclass(frozen=True)
-class AnalysisPoint:
+@dataclass(frozen=True, eq=False, repr=False)
+class AnalysisPoint(ByContent):
     """Point of linearisation: vertices and flow."""
 
     #: float64, (n, 3), m; the reference positions if `None`.
@@ -125,8 +128,8 @@ class AnalysisPoint:
     reference: Reference
 
 
-@dataclass(frozen=True)
-class Analysis:
+@dataclass(frozen=True, eq=False, repr=False)
+class Analysis(ByContent):
     """The flow in one wind."""
 
     #: Determined by configuration, vertices and Mach number: the same in every wind.
@@ -156,19 +159,35 @@ class Analysis:
     #: Number of rounds of refinement, or iterations.
     rounds: int
     #: Whether the server had the solution already.
-    reused: bool
+    reused: bool = field(compare=False)
     #: Seconds in the engine.
     engine_seconds: float = field(compare=False)
     #: Seconds in the queue.
     queue_seconds: float = field(compare=False)
+
+    def __repr__(self) -> str:
+        c = self.coefficients
+        return (
+            f"<Analysis {self.id[:12]} at Mach {self.point.mach:.4g}, alpha {self.point.alpha:.4g} rad: lift {c.lift:.5f},"
+            f" induced drag {c.induced_drag:.6f}, moment {c.moment:.5f}>"
+        )
+
+    def _repr_html_(self) -> str:
+        units = {"neutral_point": "m", **{name: "1/rad" for name in COEFFICIENTS if name.endswith("slope")}}
+        coefficients = [(name, getattr(self.coefficients, name), units.get(name, "1")) for name in COEFFICIENTS]
+        parts = [(name, part.lift, part.drag, part.moment[1]) for name, part in self.components.items()]
+        title = f"Flow at Mach {self.point.mach:.4g}, alpha {self.point.alpha:.4g} rad"
+        return display.table(title, ("coefficient", "value", "unit"), coefficients) + display.table(
+            "Parts, from the pressure", ("part", "lift", "drag", "moment"), parts
+        )
 
 
 #: Point of linearisation: an analysis, which is best since the server holds its factored system, or vertices and flow.
 At = Analysis | AnalysisPoint
 
 
-@dataclass(frozen=True)
-class FlowTangents:
+@dataclass(frozen=True, eq=False, repr=False)
+class FlowTangents(ByContent):
     """Changes of the outputs along k directions; without the first axis for a single direction."""
 
     #: By name, (k,) or a number.
@@ -178,13 +197,13 @@ class FlowTangents:
     #: (k, m).
     cp: Array
     #: Seconds in the engine.
-    engine_seconds: float
+    engine_seconds: float = field(compare=False)
     #: Seconds in the queue.
-    queue_seconds: float
+    queue_seconds: float = field(compare=False)
 
 
-@dataclass(frozen=True)
-class FlowGradients:
+@dataclass(frozen=True, eq=False, repr=False)
+class FlowGradients(ByContent):
     """Gradients of k weighted sums of the outputs; without the first axis for a single one."""
 
     #: (k, n, 3), per metre.
@@ -198,6 +217,6 @@ class FlowGradients:
     #: (k, 3), per metre.
     point: Array
     #: Seconds in the engine.
-    engine_seconds: float
+    engine_seconds: float = field(compare=False)
     #: Seconds in the queue.
-    queue_seconds: float
+    queue_seconds: float = field(compare=False)

@@ -46,6 +46,7 @@ def configuration_request(
     components: Iterable[str] | None,
     solver: Solver | None,
     tolerance: float | None,
+    merge_tolerance: float | None,
 ) -> wire.CreateConfigurationRequest:
     """The request that creates a configuration, and creates it again if the server has dropped it."""
     request = wire.CreateConfigurationRequest()
@@ -67,6 +68,8 @@ def configuration_request(
         options.solver = convert.enumerator(wire.PanelSolver, "PANEL_SOLVER_", solver)
     if tolerance is not None:
         options.tolerance = tolerance
+    if merge_tolerance is not None:
+        options.merge_tolerance = merge_tolerance
     return request
 
 

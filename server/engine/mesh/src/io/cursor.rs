@@ -2,7 +2,7 @@
 
 use std::str::FromStr;
 
-use super::{Place, ReadError, looked_at};
+use super::{BYTE_ORDER_MARK, Place, ReadError, looked_at};
 
 /// Coding of numbers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -20,8 +20,10 @@ pub(super) struct Cursor<'a> {
 }
 
 impl<'a> Cursor<'a> {
+    /// At the start, or behind a byte-order mark.
     pub(super) fn new(bytes: &'a [u8]) -> Self {
-        Self { bytes, position: 0, coding: Coding::Ascii }
+        let position = if bytes.starts_with(BYTE_ORDER_MARK) { BYTE_ORDER_MARK.len() } else { 0 };
+        Self { bytes, position, coding: Coding::Ascii }
     }
 
     pub(super) fn rest(&self) -> &'a [u8] {

@@ -1,51 +1,37 @@
 //! STL triangles, ASCII and binary.
 
-use std::collections::HashMap;
+use std::{collections::HashMap, fmt::Write};
 
-use super::{Draft, Imported, Place, ReadError, cursor::Cursor};
-use crate::{Cell, Limits, grid::HashGrid};
+use super::{BYTE_ORDER_MARK, Draft, Imported, Place, ReadError, cursor::Cursor};
+use crate::{Cell, Limits, Numbering, SurfaceMesh, area_vector};
 
-/// Reads ASCII or binary STL and merges vertices: equal ones, and those within `tolerance` (m, 0 for equal only) of an earlier
-/// one. Triangles that collapse are left out and counted. Named solids of an ASCII file become cell groups.
+/// Reads ASCII or binary STL and merges vertices: equal ones, and those within `tolerance` (0 for equal only) of an earlier one.
+/// Triangles that collapse are left out and counted. Named solids of an ASCII file become cell groups.
+///
+/// A file is ASCII if it begins with `solid` and has only text where a binary file has its head and first triangle. A binary file may
+/// have a few bytes after its last triangle, as some writers append.
 ///
 /// # Errors
 /// [`ReadError`], with a line or byte offset.
 pub fn read(bytes: &[u8], tolerance: f64, limits: &Limits) -> Result<Imported, ReadError> {
     let mut merger = Merger::new(limits);
-    if bytes.len() >= HEAD && bytes.len() as u64 == HEAD as u64 + RECORD as u64 * stated_count(bytes) {
-        for record in bytes[HEAD..].chunks_exact(RECORD) {
-            // The normal comes first, then three corners.
-            let corner = |k: usize| {
-                std::array::from_fn(|axis| {
-                    let at = 12 * (k + 1) + 4 * axis;
-                    f64::from(f32::from_le_bytes([
-                        record[at],
-                        record[at + 1],
-                        record[at + 2],
-                        record[at + 3],
-                    ]))
-                })
-            };
-            merger.add([corner(0), corner(1), corner(2)], "", || Place::Byte(HEAD))?;
-        }
-    } else if bytes.trim_ascii_start().get(..5).is_some_and(|word| word.eq_ignore_ascii_case(b"solid")) {
-        read_ascii(bytes, &mut merger)?;
-    } else if bytes.len() >= HEAD {
-        let count = stated_count(bytes);
-        let limit = ((bytes.len() - HEAD) / RECORD) as u64;
-        if count > limit {
-            return Err(ReadError::TooMany { place: Place::Byte(80), what: "triangles", count, limit });
-        }
-        return Err(ReadError::unexpected(
-            Place::Byte(HEAD + RECORD * count as usize),
-            "the end of the file after the last triangle",
-            &bytes[HEAD + RECORD * count as usize..],
-        ));
-    } else {
-        let expected = "`solid`, or a binary head of 84 bytes".to_owned();
-        return Err(ReadError::Truncated { place: Place::Byte(bytes.len()), expected });
+    if bytes.starts_with(&[0xFF, 0xFE]) || bytes.starts_with(&[0xFE, 0xFF]) {
+        let what = "text in UTF-16".to_owned();
+        return Err(ReadError::Unsupported {
+            place: Place::Byte(0),
+            what,
+            advice: "save it as ASCII or UTF-8",
+        });
     }
-    merger.finish(tolerance)
+    let text = bytes.strip_prefix(BYTE_ORDER_MARK).unwrap_or(bytes);
+    let exact =
+        bytes.len() >= HEAD && bytes.len() as u64 == HEAD as u64 + RECORD as u64 * stated_count(bytes);
+    if !exact && is_text(text) && begins_with_solid(text) {
+        read_ascii(bytes, &mut merger)?;
+    } else {
+        read_binary(bytes, &mut merger)?;
+    }
+    merger.draft.finish(Numbering::Facets, Vec::new(), tolerance, limits)
 }
 
 /// Bytes before the first triangle of a binary file: a comment of 80 bytes and the count.
@@ -53,8 +39,49 @@ const HEAD: usize = 84;
 /// Bytes of a triangle: normal, three corners, an attribute of two bytes.
 const RECORD: usize = 50;
 
+fn begins_with_solid(bytes: &[u8]) -> bool {
+    bytes.trim_ascii_start().get(..5).is_some_and(|word| word.eq_ignore_ascii_case(b"solid"))
+}
+
+/// Whether there is only text where a binary file has its head and its first triangle. (Names of solids may be in any code.)
+fn is_text(bytes: &[u8]) -> bool {
+    let control = |byte: &u8| byte.is_ascii_control() && !byte.is_ascii_whitespace();
+    !bytes[..bytes.len().min(HEAD + RECORD)].iter().any(control)
+}
+
 fn stated_count(bytes: &[u8]) -> u64 {
     u64::from(u32::from_le_bytes([bytes[80], bytes[81], bytes[82], bytes[83]]))
+}
+
+fn read_binary(bytes: &[u8], merger: &mut Merger<'_>) -> Result<(), ReadError> {
+    if bytes.len() < HEAD {
+        let expected = "`solid`, or a binary head of 84 bytes".to_owned();
+        return Err(ReadError::Truncated { place: Place::Byte(bytes.len()), expected });
+    }
+    let count = stated_count(bytes);
+    let limit = ((bytes.len() - HEAD) / RECORD) as u64;
+    if count > limit {
+        return Err(ReadError::TooMany { place: Place::Byte(80), what: "triangles", count, limit });
+    }
+    let end = HEAD + RECORD * count as usize;
+    let rest = &bytes[end..];
+    // Less than a triangle, or filling: nothing that could be part of the surface.
+    if rest.len() >= RECORD && !rest.iter().all(|byte| *byte == 0 || byte.is_ascii_whitespace()) {
+        let expected = format!("the end of a binary STL of {count} triangles");
+        let found = format!("{} bytes more", rest.len());
+        return Err(ReadError::unexpected(Place::Byte(end), expected, found.as_bytes()));
+    }
+    for (index, record) in bytes[HEAD..end].chunks_exact(RECORD).enumerate() {
+        // The normal comes first, then three corners.
+        let corner = |k: usize| {
+            std::array::from_fn(|axis| {
+                let at = 12 * (k + 1) + 4 * axis;
+                f64::from(f32::from_le_bytes([record[at], record[at + 1], record[at + 2], record[at + 3]]))
+            })
+        };
+        merger.add([corner(0), corner(1), corner(2)], "", || Place::Byte(HEAD + RECORD * index))?;
+    }
+    Ok(())
 }
 
 fn read_ascii(bytes: &[u8], merger: &mut Merger<'_>) -> Result<(), ReadError> {
@@ -127,6 +154,13 @@ impl<'a> Merger<'a> {
         place: impl Fn() -> Place,
     ) -> Result<(), ReadError> {
         let draft = &mut self.draft;
+        let facet = self.corners / 3;
+        for (corner, axis) in (0..3).flat_map(|corner| (0..3).map(move |axis| (corner, axis))) {
+            let value = corners[corner][axis];
+            if !value.is_finite() {
+                return Err(ReadError::NotFinite { place: place(), facet, corner, axis, value });
+            }
+        }
         let mut cell = [0; 3];
         for (vertex, corner) in cell.iter_mut().zip(corners) {
             // Adding zero makes -0 and 0 the same.
@@ -153,44 +187,48 @@ impl<'a> Merger<'a> {
             over("cell groups", draft.cell_groups.list.len(), self.limits.groups)?;
         }
         let [a, b, c] = cell;
+        draft.cell_ids.push(facet);
         draft.cells.push(Cell::triangle(a, b, c));
         Ok(())
     }
+}
 
-    /// Merges near vertices and drops triangles that collapse.
-    fn finish(mut self, tolerance: f64) -> Result<Imported, ReadError> {
-        let draft = &mut self.draft;
-        if tolerance > 0.0 {
-            let extent = draft.positions.iter().flatten().fold(0.0, |extent: f64, x| extent.max(x.abs()));
-            let mut grid = HashGrid::new(tolerance, extent);
-            let mut target = Vec::with_capacity(draft.positions.len());
-            for (vertex, x) in (0..).zip(&draft.positions) {
-                target.push(grid.nearest(x, &draft.positions).unwrap_or_else(|| {
-                    grid.insert(x, vertex);
-                    vertex
-                }));
-            }
-            for cell in &mut draft.cells {
-                *cell = cell.map(|vertex| target[vertex as usize]);
-            }
-        }
-        const DROPPED: u32 = u32::MAX;
-        let collapsed = |cell: &Cell| cell.edges().any(|[a, b]| a == b);
-        let mut kept = 0;
-        let number = |cell: &Cell| {
-            if collapsed(cell) {
-                return DROPPED;
-            }
-            kept += 1;
-            kept - 1
-        };
-        let numbers: Vec<u32> = draft.cells.iter().map(number).collect();
-        draft.ignored_cells = draft.cells.len() - kept as usize;
-        draft.cells.retain(|cell| !collapsed(cell));
-        for group in &mut draft.cell_groups.list {
-            group.indices.iter_mut().for_each(|index| *index = numbers[*index as usize]);
-            group.indices.retain(|&index| index != DROPPED);
-        }
-        self.draft.finish(self.limits)
+/// Writes ASCII, with coordinates that read back to the same bits. A quadrilateral becomes two triangles; the first group of a cell
+/// names its solid. The order of the cells stays, so that a solid may appear several times.
+pub fn write(mesh: &SurfaceMesh) -> Vec<u8> {
+    let mut group = vec![None; mesh.cells.len()];
+    for (number, members) in mesh.cell_groups.iter().enumerate().rev() {
+        members.indices.iter().for_each(|&cell| group[cell as usize] = Some(number));
     }
+    let mut out = String::new();
+    let cells: Vec<(&Cell, Option<usize>)> = mesh.cells.iter().zip(group).collect();
+    for solid in cells.chunk_by(|a, b| a.1 == b.1) {
+        let name = solid[0].1.map_or("", |number| &mesh.cell_groups[number].name);
+        let name = name.replace(char::is_control, " ");
+        // Writing to a string cannot fail.
+        let _ = writeln!(out, "solid {name}");
+        for (cell, _) in solid {
+            match *cell.vertices() {
+                [a, b, c] => write_facet(mesh, [a, b, c], &mut out),
+                [a, b, c, d] => {
+                    write_facet(mesh, [a, b, c], &mut out);
+                    write_facet(mesh, [a, c, d], &mut out);
+                }
+                _ => {}
+            }
+        }
+        let _ = writeln!(out, "endsolid {name}");
+    }
+    out.into_bytes()
+}
+
+fn write_facet(mesh: &SurfaceMesh, corners: [u32; 3], out: &mut String) {
+    let area = area_vector(&mesh.vertices, &Cell::triangle(corners[0], corners[1], corners[2]));
+    let normal = area.try_normalize(0.0).unwrap_or_default();
+    let _ = writeln!(out, "facet normal {:?} {:?} {:?}\nouter loop", normal.x, normal.y, normal.z);
+    for corner in corners {
+        let [x, y, z] = mesh.vertices[corner as usize];
+        let _ = writeln!(out, "vertex {x:?} {y:?} {z:?}");
+    }
+    out.push_str("endloop\nendfacet\n");
 }

@@ -3,17 +3,19 @@
 mod data;
 mod xml;
 
-use std::fmt::Write;
+use std::{collections::HashMap, fmt::Write};
 
 use self::{
     data::{ArrayTag, File},
     xml::{Scanner, Tag},
 };
 use super::{Draft, Imported, Place, ReadError};
-use crate::{Cell, Group, Limits, SurfaceMesh};
+use crate::{Cell, Group, Limits, Numbering, SurfaceMesh};
 
 /// Prefix of the names of arrays that hold groups.
 const GROUP: &str = "group:";
+/// The bit of `vtkGhostType` of a cell that another piece has as its own.
+const DUPLICATE: i64 = 1;
 
 /// A data array to write beside the mesh.
 #[derive(Clone, Copy, Debug)]
@@ -33,25 +35,56 @@ pub enum Values<'a> {
     Float64(&'a [f64]),
     /// Signed 32 bits.
     Int32(&'a [i32]),
+    /// Signed 64 bits.
+    Int64(&'a [i64]),
     /// Unsigned 8 bits.
     UInt8(&'a [u8]),
 }
 
 /// Reads ASCII, inline base64 and appended (raw or base64) data, compressed with zlib or not, of either byte order.
-/// Integer arrays named `group:NAME` become cell and vertex groups: members have a value other than 0.
+/// Integer arrays named `group:NAME` become cell and vertex groups: members have a value other than 0. Several pieces are joined at
+/// their borders, where points are equal, and the cells that one of them has as ghosts of another are left out.
 ///
 /// # Errors
 /// [`ReadError`], with a line or byte offset.
 pub fn read(bytes: &[u8], limits: &Limits) -> Result<Imported, ReadError> {
+    read_merged(bytes, 0.0, limits)
+}
+
+/// As [`read`], with points merged within `tolerance`, in the file's unit.
+///
+/// # Errors
+/// As [`read`]; [`ReadError::MergeTolerance`] if the tolerance is too large.
+pub fn read_merged(bytes: &[u8], tolerance: f64, limits: &Limits) -> Result<Imported, ReadError> {
     let (file, pieces) = scan(bytes)?;
     let mut draft = Draft::default();
+    let mut starts = Vec::with_capacity(pieces.len());
     for piece in &pieces {
+        starts.push(draft.positions.len());
         read_piece(&file, piece, limits, &mut draft)?;
     }
     if pieces.is_empty() {
         return Err(ReadError::Missing { what: "Piece" });
     }
-    draft.finish(limits)
+    let equal = if pieces.len() > 1 { equal_to_other_pieces(&draft.positions, &starts) } else { Vec::new() };
+    draft.finish(Numbering::Points, equal, tolerance, limits)
+}
+
+/// For each point the first one of an earlier piece at the same position, or itself. Equal points within a piece stay apart.
+fn equal_to_other_pieces(positions: &[[f64; 3]], starts: &[usize]) -> Vec<u32> {
+    let mut first: HashMap<[u64; 3], u32> = HashMap::new();
+    let ends = starts[1..].iter().copied().chain([positions.len()]);
+    let mut target = Vec::with_capacity(positions.len());
+    let mut start = 0;
+    for end in ends {
+        for (index, x) in (start..).zip(&positions[start..end]) {
+            // Adding zero makes -0 and 0 the same.
+            let found = *first.entry(x.map(|x| (x + 0.0).to_bits())).or_insert(index as u32);
+            target.push(if (found as usize) < start { found } else { index as u32 });
+        }
+        start = end;
+    }
+    target
 }
 
 /// The arrays of a piece.
@@ -64,6 +97,8 @@ struct Piece<'a> {
     connectivity: Option<ArrayTag<'a>>,
     offsets: Option<ArrayTag<'a>>,
     types: Option<ArrayTag<'a>>,
+    /// Marks cells that belong to another piece, by a bit.
+    ghosts: Option<ArrayTag<'a>>,
     point_groups: Vec<(String, ArrayTag<'a>)>,
     cell_groups: Vec<(String, ArrayTag<'a>)>,
 }
@@ -116,6 +151,7 @@ fn note_array<'a>(
         ("Cells", "connectivity", _) => piece.connectivity = Some(ArrayTag::new(tag, scanner)?),
         ("Cells", "offsets", _) => piece.offsets = Some(ArrayTag::new(tag, scanner)?),
         ("Cells", "types", _) => piece.types = Some(ArrayTag::new(tag, scanner)?),
+        ("CellData", "vtkGhostType", _) => piece.ghosts = Some(ArrayTag::new(tag, scanner)?),
         ("PointData", _, Some(group)) => piece.point_groups.push((group, ArrayTag::new(tag, scanner)?)),
         ("CellData", _, Some(group)) => piece.cell_groups.push((group, ArrayTag::new(tag, scanner)?)),
         _ => {}
@@ -156,6 +192,7 @@ fn read_piece(
     let offsets_tag = need(&piece.offsets, "array `offsets`")?;
     let connectivity_tag = need(&piece.connectivity, "array `connectivity`")?;
     let types = file.integers(types_tag, cells)?;
+    let ghosts = piece.ghosts.as_ref().map(|tag| file.integers(tag, cells)).transpose()?;
     let offsets = file.integers(offsets_tag, cells)?;
     let at_offsets = || file.place(offsets_tag);
     let mut last = 0;
@@ -189,9 +226,15 @@ fn read_piece(
     // The new number of each cell of the file, if it is kept.
     let mut numbers: Vec<Option<u32>> = Vec::with_capacity(cells);
     let mut start = 0;
-    for (&kind, &end) in types.iter().zip(&offsets) {
+    let first_cell = draft.cells.len() + draft.other_cells;
+    for (index, (&kind, &end)) in types.iter().zip(&offsets).enumerate() {
         let indices = &connectivity[start..end as usize];
         start = end as usize;
+        if ghosts.as_ref().is_some_and(|ghosts| ghosts[index] & DUPLICATE != 0) {
+            numbers.push(None);
+            draft.other_cells += 1;
+            continue;
+        }
         let cell = match (kind, indices) {
             (5 | 7, &[a, b, c]) => Cell::triangle(vertex(a)?, vertex(b)?, vertex(c)?),
             (9 | 7, &[a, b, c, d]) => Cell::quad(vertex(a)?, vertex(b)?, vertex(c)?, vertex(d)?),
@@ -212,11 +255,12 @@ fn read_piece(
             }
             _ => {
                 numbers.push(None);
-                draft.ignored_cells += 1;
+                draft.other_cells += 1;
                 continue;
             }
         };
         numbers.push(Some(draft.cells.len() as u32));
+        draft.cell_ids.push((first_cell + index) as u64);
         draft.cells.push(cell);
     }
 
@@ -302,6 +346,7 @@ impl Writer {
             let length = match values {
                 Values::Float64(values) => values.len(),
                 Values::Int32(values) => values.len(),
+                Values::Int64(values) => values.len(),
                 Values::UInt8(values) => values.len(),
             };
             assert_eq!(length, components * count, "array `{name}`: {components} values for each of {count}");
@@ -311,6 +356,9 @@ impl Writer {
                 }
                 Values::Int32(values) => {
                     self.array("Int32", name, components, values.iter().flat_map(|x| x.to_le_bytes()));
+                }
+                Values::Int64(values) => {
+                    self.array("Int64", name, components, values.iter().flat_map(|x| x.to_le_bytes()));
                 }
                 Values::UInt8(values) => self.array("UInt8", name, components, values.iter().copied()),
             }

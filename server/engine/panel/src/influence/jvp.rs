@@ -1,197 +1,248 @@
-//! Directional derivatives of the residual `R`, tile by tile.
+//! The change of the residual `4 pi (A mu - b)` at fixed unknowns, for changes of the surface.
 
-use moldline_foundation::simd::widest;
+use std::f64::consts::PI;
+
 use moldline_mesh::Vector3;
 use rayon::prelude::*;
 
 use super::{
-    assembly::wake_angles,
-    derivative::{EdgeGradient, Filaments, Product, Slopes, SourceGradient, Strengths, each_pair, no_slopes},
-    kernels::{BY_4_PI, Vector},
-    records::{Influence, PatchRecord, Radii, Tile, across},
+    assembly::View,
+    far::Moments,
+    records::{Charges, Influence, plane_figure_jvp},
+    targets::Target,
+    walk::{Near, Visitor},
 };
 use crate::{
     Monitor, PanelError, Stage,
-    lanes::{LANES, Lane},
-    panels::Edge,
+    elements::circulation,
     progress::Progress,
+    surface::{SurfaceChange, area},
 };
 
-/// A change of the residual's arguments in one direction.
-pub(crate) struct PairChange<'a, const B: usize> {
-    pub points: &'a [Vector3],
-    pub centres: &'a [Vector3],
-    /// Of `s = sigma n`.
-    pub sources: [Vec<Vector3>; B],
-    /// Of the circulations.
-    pub strips: [Vec<f64>; B],
+/// A change of the surface in one direction, and of all that acts with it.
+pub(crate) struct PairChange {
+    corners: Vec<[Vector3; 3]>,
+    centroids: Vec<Vector3>,
+    moments: Vec<Moments>,
+    sheets: Vec<[Vector3; 3]>,
 }
 
-/// The change of an edge.
-struct EdgeChange<const B: usize> {
-    /// Of both ends.
-    ends: [f64; 6],
-    /// Of T.
-    t: [Vector; B],
+/// Changes of the circulations for every onset flow.
+struct ChargeChange {
+    elements: Vec<Vector3>,
+    sheets: Vec<Vector3>,
 }
 
-impl<const B: usize> Influence<'_, B> {
-    /// The directional derivatives of `R` at fixed doublet strengths: for each direction and onset flow, one number a panel.
-    pub fn jvp(
+impl PairChange {
+    fn new(influence: &Influence<'_>, change: &SurfaceChange) -> Self {
+        let Influence { panels, layout, surface, sources, .. } = influence;
+        let corners: Vec<[Vector3; 3]> =
+            (0..layout.elements.len()).map(|e| change.corners(panels, &layout.elements, e)).collect();
+        let (centroids, of_moments) = (0..layout.elements.len())
+            .map(|e| plane_figure_jvp(&surface.corners[e], &sources[e].centroid, &corners[e]))
+            .unzip();
+        let sheet = |sheet: &crate::wake::SheetTriangle| {
+            [0, 1, 2].map(|k: usize| {
+                let corner = &sheet.corners[k];
+                let at = &change.points[corner.yz as usize];
+                Vector3::new(change.points[corner.ahead(&surface.points) as usize].x, at.y, at.z)
+            })
+        };
+        Self {
+            corners,
+            centroids,
+            moments: of_moments,
+            sheets: layout.sheets.triangles.iter().map(sheet).collect(),
+        }
+    }
+
+    fn charges(&self, influence: &Influence<'_>, charges: &Charges) -> ChargeChange {
+        let layout = influence.layout;
+        let elements: Vec<Vector3> = (0..layout.elements.len())
+            .map(|e| circulation(&self.corners[e], &layout.element_values(e, &charges.nodes)))
+            .collect();
+        let sheet = |(corners, sheet): (&[Vector3; 3], &super::records::Sheet)| {
+            circulation(corners, &sheet.circulations.map(|g| charges.gamma[g as usize]))
+        };
+        ChargeChange { sheets: self.sheets.iter().zip(&influence.sheets).map(sheet).collect(), elements }
+    }
+}
+
+/// Sums over all that acts on one target: the potential, and its changes.
+struct Sum<'a, const B: usize> {
+    charges: &'a [Charges; B],
+    changes: &'a [(PairChange, [ChargeChange; B])],
+    /// Changes of the target: corners, centroid and moments.
+    moved: Vec<([Vector3; 3], Vector3, Moments)>,
+    potential: [Vector3; B],
+    d_potential: Vec<[Vector3; B]>,
+}
+
+impl<const B: usize> Sum<'_, B> {
+    fn add(&mut self, view: &View, mean: f64, charge: impl Fn(usize) -> Vector3) {
+        for k in 0..B {
+            self.potential[k] += mean * view.turned(&charge(k));
+        }
+    }
+}
+
+impl<const B: usize> Visitor for Sum<'_, B> {
+    fn far(&mut self, view: &View, element: usize, mean: f64, by_way: &Vector3, by_moments: &Moments) {
+        let charges = self.charges;
+        self.add(view, mean, |k| charges[k].elements[element]);
+        for ((moved, (change, d_charges)), out) in
+            self.moved.iter().zip(self.changes).zip(&mut self.d_potential)
+        {
+            let (_, centroid, of_moments) = moved;
+            let s = of_moments;
+            let seen = [s[0], s[1], s[2], view.y * s[3], view.y * s[4], s[5]];
+            let mut d_mean = by_way.dot(&(change.centroids[element] - view.place(centroid)));
+            for k in 0..6 {
+                d_mean += by_moments[k] * (change.moments[element][k] + seen[k]);
+            }
+            for k in 0..B {
+                let d = d_mean * charges[k].elements[element] + mean * d_charges[k].elements[element];
+                out[k] += view.turned(&d);
+            }
+        }
+    }
+
+    fn near(&mut self, view: &View, element: usize, near: &Near, by_way: &Vector3) {
+        let charges = self.charges;
+        self.add(view, near.mean, |k| charges[k].elements[element]);
+        for ((moved, (change, d_charges)), out) in
+            self.moved.iter().zip(self.changes).zip(&mut self.d_potential)
+        {
+            let (corners, centroid, _) = moved;
+            let mut d_mean = by_way.dot(&(change.centroids[element] - view.place(centroid)));
+            for k in 0..3 {
+                d_mean +=
+                    near.by_target[k].dot(&corners[k]) + near.by_source[k].dot(&change.corners[element][k]);
+            }
+            for k in 0..B {
+                let d = d_mean * charges[k].elements[element] + near.mean * d_charges[k].elements[element];
+                out[k] += view.turned(&d);
+            }
+        }
+    }
+
+    fn sheet(&mut self, view: &View, sheet: usize, near: &Near) {
+        let charges = self.charges;
+        self.add(view, near.mean, |k| charges[k].sheets[sheet]);
+        for ((moved, (change, d_charges)), out) in
+            self.moved.iter().zip(self.changes).zip(&mut self.d_potential)
+        {
+            let mut d_mean = 0.0;
+            for k in 0..3 {
+                d_mean +=
+                    near.by_target[k].dot(&moved.0[k]) + near.by_source[k].dot(&change.sheets[sheet][k]);
+            }
+            for k in 0..B {
+                let d = d_mean * charges[k].sheets[sheet] + near.mean * d_charges[k].sheets[sheet];
+                out[k] += view.turned(&d);
+            }
+        }
+    }
+}
+
+impl Influence<'_> {
+    /// The changes of the residual in several directions.
+    pub fn jvp<const B: usize>(
         &self,
-        strengths: &Strengths<'_, B>,
-        changes: &[PairChange<'_, B>],
+        charges: &[Charges; B],
+        changes: &[SurfaceChange],
         monitor: &dyn Monitor<Stage>,
     ) -> Result<Vec<[Vec<f64>; B]>, PanelError> {
-        let n = self.panels.len();
-        let filaments = self.filaments(strengths);
-        let of_edges: Vec<Vec<EdgeChange<B>>> = changes.iter().map(|c| self.edge_changes(c)).collect();
-        let tiles = n.div_ceil(LANES);
-        let progress = Progress::new(monitor, Stage::Derivative, tiles);
-        let rows: Vec<Vec<[Lane; B]>> = (0..tiles)
-            .into_par_iter()
-            .map_init(<[Radii; 2]>::default, |radii, index| {
+        let n = self.layout.nodes.rows();
+        let moved: Vec<(PairChange, [ChargeChange; B])> = changes
+            .iter()
+            .map(|change| {
+                let pairs = PairChange::new(self, change);
+                let of_charges = std::array::from_fn(|k| pairs.charges(self, &charges[k]));
+                (pairs, of_charges)
+            })
+            .collect();
+        let groups = self.groups();
+        let progress = Progress::new(monitor, Stage::Derivative, groups.len());
+        let parts: Vec<Vec<(u32, Vec<[f64; B]>)>> = groups
+            .par_iter()
+            .map(|group| {
                 if progress.cancelled() {
-                    return vec![[[0.0; LANES]; B]; changes.len()];
+                    return Vec::new();
                 }
-                let out = self.tile_jvp(index, &filaments, changes, &of_edges, radii);
+                let rows = group
+                    .iter()
+                    .flat_map(|target| self.target_jvp(*target, charges, changes, &moved))
+                    .collect();
                 progress.step();
-                out
+                rows
             })
             .collect();
         progress.finish()?;
-        let of = |direction: usize, k: usize| {
-            rows.iter().flat_map(|tile| tile[direction][k].iter().map(|x| x * BY_4_PI)).take(n).collect()
-        };
-        Ok((0..changes.len()).map(|direction| std::array::from_fn(|k| of(direction, k))).collect())
+        let mut out: Vec<[Vec<f64>; B]> =
+            changes.iter().map(|_| std::array::from_fn(|_| vec![0.0; n])).collect();
+        for (row, values) in parts.iter().flatten() {
+            for (out, value) in out.iter_mut().zip(values) {
+                (0..B).for_each(|k| out[k][*row as usize] += value[k]);
+            }
+        }
+        for (change, out) in changes.iter().zip(&mut out) {
+            self.right_jvp(change, out);
+        }
+        Ok(out)
     }
 
-    /// The changes of the ends and of T of every edge.
-    fn edge_changes(&self, change: &PairChange<'_, B>) -> Vec<EdgeChange<B>> {
-        let of_edge = |(index, e): (usize, &Edge)| {
-            let (da, db) = (change.points[e.a as usize], change.points[e.b as usize]);
-            let length = self.surface.lengths[index];
-            let along = self.surface.edges[index] / length;
-            let turn = (db - da - along * along.dot(&(db - da))) / length;
-            let t = |k: usize| {
-                let difference = across(&self.sources[k], e);
-                (turn.cross(&difference) + along.cross(&across(&change.sources[k], e))).into()
-            };
-            EdgeChange { ends: [da.x, da.y, da.z, db.x, db.y, db.z], t: std::array::from_fn(t) }
-        };
-        self.panels.edges.iter().enumerate().map(of_edge).collect()
-    }
-
-    /// The changes of `4 pi R` at the points of a tile.
-    fn tile_jvp(
+    /// The rows of a target with their changes in all directions.
+    fn target_jvp<const B: usize>(
         &self,
         index: usize,
-        filaments: &Filaments<B>,
-        changes: &[PairChange<'_, B>],
-        of_edges: &[Vec<EdgeChange<B>>],
-        radii: &mut [Radii; 2],
-    ) -> Vec<[Lane; B]> {
-        let mut out = vec![[[0.0; LANES]; B]; changes.len()];
-        let images = self.images(index);
-        let mut slopes = no_slopes();
-        widest(
-            #[inline(always)]
-            || {
-                for patch in &self.patches {
-                    let mut product = PatchChange { patch, changes, of_edges, out: &mut out };
-                    each_pair(patch, filaments, &images, radii, &mut slopes, &mut product);
-                }
-                self.wake_jvp(filaments, &images, changes, &mut slopes, &mut out);
-            },
-        );
-        for (out, change) in out.iter_mut().zip(changes) {
-            let moved = Tile::new(change.centres, LANES * index);
-            for (out, slopes) in out.iter_mut().zip(&slopes) {
-                for l in 0..LANES {
-                    out[l] += (0..3).map(|axis| slopes[axis][l] * moved.0[axis][l]).sum::<f64>();
-                }
-            }
-        }
-        out
+        charges: &[Charges; B],
+        changes: &[SurfaceChange],
+        moved: &[(PairChange, [ChargeChange; B])],
+    ) -> Vec<(u32, Vec<[f64; B]>)> {
+        let target = Target::new(self, index);
+        let corners: Vec<[Vector3; 3]> =
+            changes.iter().map(|change| target.corners_jvp(self, change)).collect();
+        let of_target = |corners: &[Vector3; 3]| {
+            let (centroid, moments) = target.afar_jvp(corners);
+            (*corners, centroid, moments)
+        };
+        let mut sum = Sum {
+            charges,
+            changes: moved,
+            moved: corners.iter().map(of_target).collect(),
+            potential: [Vector3::zeros(); B],
+            d_potential: vec![[Vector3::zeros(); B]; changes.len()],
+        };
+        self.walk(&target, &mut sum);
+        let d_rows: Vec<Vec<(u32, Vector3)>> = corners.iter().map(|c| target.rows_jvp(self, c)).collect();
+        let row = |(place, (row, charge)): (usize, &(u32, Vector3))| {
+            let value = |direction: usize| {
+                let d_charge = &d_rows[direction][place].1;
+                std::array::from_fn(|k| {
+                    charge.dot(&sum.d_potential[direction][k]) + d_charge.dot(&sum.potential[k])
+                })
+            };
+            (*row, (0..changes.len()).map(value).collect())
+        };
+        target.rows.iter().enumerate().map(row).collect()
     }
 
-    fn wake_jvp(
-        &self,
-        filaments: &Filaments<B>,
-        images: &[Tile],
-        changes: &[PairChange<'_, B>],
-        slopes: &mut Slopes<B>,
-        out: &mut [[Lane; B]],
-    ) {
-        for (index, ray) in self.wakes.rays.iter().enumerate() {
-            let g = self.ray_gradient(index, filaments, images, slopes);
-            for (out, change) in out.iter_mut().zip(changes) {
-                let da = &change.points[ray.point as usize];
-                for k in 0..B {
-                    let strength = filaments.rays[index][k];
-                    for l in 0..LANES {
-                        out[k][l] += strength * (g[0][l] * da.y + g[1][l] * da.z);
-                    }
-                }
-            }
-        }
-        let mut angles = vec![[0.0; LANES]; self.wakes.strips.len()];
-        images.iter().for_each(|tile| wake_angles(&self.pieces, tile, &mut angles));
-        for (out, change) in out.iter_mut().zip(changes) {
-            for k in 0..B {
-                for (omega, circulation) in angles.iter().zip(&change.strips[k]) {
-                    for l in 0..LANES {
-                        out[k][l] -= omega[l] * circulation;
-                    }
-                }
-            }
-        }
-    }
-}
-
-/// Adds the changes that come from one patch.
-struct PatchChange<'a, const B: usize> {
-    patch: &'a PatchRecord<B>,
-    changes: &'a [PairChange<'a, B>],
-    of_edges: &'a [Vec<EdgeChange<B>>],
-    out: &'a mut [[Lane; B]],
-}
-
-impl<const B: usize> Product<B> for PatchChange<'_, B> {
-    #[inline(always)]
-    fn edge(&mut self, local: usize, gradient: &EdgeGradient<B>) {
-        let index = self.patch.edges[local].index;
-        for (out, of_edges) in self.out.iter_mut().zip(self.of_edges) {
-            let change = &of_edges[index];
-            for k in 0..B {
-                for l in 0..LANES {
-                    let mut sum = 0.0;
-                    for i in 0..6 {
-                        sum += gradient.ends[k][i][l] * change.ends[i];
-                    }
-                    for i in 0..3 {
-                        sum += gradient.t[i][l] * change.t[k][i];
-                    }
-                    out[k][l] += sum;
-                }
-            }
-        }
-    }
-
-    #[inline(always)]
-    fn panel(&mut self, local: usize, gradient: &SourceGradient) {
-        let panel = &self.patch.panels[local];
-        for (out, change) in self.out.iter_mut().zip(self.changes) {
-            let dc = &change.centres[panel.index];
-            for k in 0..B {
-                let (s, ds) = (&panel.s[k], &change.sources[k][panel.index]);
-                let along = s[0] * dc.x + s[1] * dc.y + s[2] * dc.z;
-                for l in 0..LANES {
-                    out[k][l] += gradient.omega[l] * along
-                        + gradient.arm[0][l] * ds.x
-                        + gradient.arm[1][l] * ds.y
-                        + gradient.arm[2][l] * ds.z;
-                }
+    /// Subtracts the change of the right-hand sides.
+    fn right_jvp<const B: usize>(&self, change: &SurfaceChange, out: &mut [Vec<f64>; B]) {
+        let axes = self.panels.axes();
+        let elements = &self.layout.elements;
+        for (element, record) in elements.list.iter().enumerate() {
+            let corners = &self.surface.corners[element];
+            let d = change.corners(self.panels, elements, element);
+            let d_area = 0.5
+                * ((d[1] - d[0]).cross(&(corners[2] - corners[0]))
+                    + (corners[1] - corners[0]).cross(&(d[2] - d[0])));
+            for (k, out) in out.iter_mut().enumerate() {
+                let onset = self.surface.onset(axes[k]);
+                let d_onset = change.beta * self.surface.onset_by_beta(axes[k]);
+                let flux = 4.0 * PI / 3.0 * (d_area.dot(&onset) + area(corners).dot(&d_onset));
+                self.tests(record).iter().for_each(|row| out[*row] -= flux);
             }
         }
     }

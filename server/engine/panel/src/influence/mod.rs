@@ -1,30 +1,29 @@
-//! The influence of doublet panels, source panels and wakes on the collocation points, and its derivative.
+//! The system of equations for the potential, and its derivative.
 //!
-//! With `R_i` the potential inside the surface at collocation point i (zero in the solution), mu the doublet strengths and
-//! `s = sigma n` the sources:
+//! The unknown mu is the total potential on the outside, the strength of a sheet of doublets. It is linear on every element, so that the sheet is
+//! one of vortices, `gamma = n x grad mu`, and the flow inside is at rest once none passes through the surface. That is asked for in the
+//! mean with every test function w (Galerkin): with the vector potential A of the sheet, V' the onset flow, and Stokes' theorem on the surface that is
+//! cut along trailing edges,
 //!
 //! ```text
-//! 4 pi R_i = - sum_j mu_j Omega_ij - sum_w Gamma_w Omega_iw - sum_e Q_ie T_e.(a_e - P_i) + sum_j s_j.(c_j - P_i) Omega_ij
+//! integral w n.(V' + curl A) dS = 0
+//! integral A.(n x grad w) dS - integral_cut w A.dl = integral w n.V' dS
 //! ```
 //!
-//! Omega is the solid angle (van Oosterom and Strackee, IEEE Trans. Biomed. Eng. 30, 1983) of the panel's spherical
-//! polygon, so that a closed surface of warped quadrilaterals closes exactly. Sources are summed by edges:
-//! `Q_e = ln((r_a + r_b + L) / (r_a + r_b - L))` belongs to an edge, and both of its panels enter through `T_e = e x (s_left - s_right)`. The
-//! solid angle's derivative is a sum over edges as well, with the difference of the strengths on both sides.
+//! For a pair of elements both integrals are `c_w . c_mu I` with `c = area n x grad`, linear in the potential and in the positions, and the mean
+//! inverse distance I. So one scalar of every pair is all that is needed; the matrix is positive semidefinite but for the wakes, whatever the shape of
+//! the cells. Wakes are elements that carry the circulation of trailing edges.
 //!
-//! [`kernels`] has the formulas and their derivatives, [`records`] the geometry in the order of the loops, [`assembly`] the matrix and the
-//! right-hand sides, [`derivative`] the pass over pairs that [`jvp`] and [`vjp`] share.
-//!
-//! Loops run over the collocation points of a tile and the panels of a patch. Nothing is approximated at a distance, so nothing jumps.
+//! [`near`] and [`far`] have the mean inverse distances, [`targets`] what is tested, [`records`] the geometry of what acts, [`assembly`] the matrix and the
+//! right-hand sides, [`walk`] the pass over all pairs that the products [`jvp`] and [`vjp`] share.
 
 mod assembly;
-mod derivative;
+mod far;
 mod jvp;
-mod kernels;
+mod near;
 mod records;
+mod targets;
 mod vjp;
+mod walk;
 
-pub(crate) use derivative::Strengths;
-pub(crate) use jvp::PairChange;
-pub(crate) use records::Influence;
-pub(crate) use vjp::PairSeeds;
+pub(crate) use records::{Charges, Influence, Layout};

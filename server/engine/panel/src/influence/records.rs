@@ -1,248 +1,263 @@
-//! Geometry and sources in the order in which the loops over pairs read them: records of patches, and tiles of points.
+//! What acts: elements, from afar and from near by, and the triangles of the wakes.
 
 use moldline_mesh::Vector3;
 
-use super::kernels::{Shape, Vector, own_solid_angle};
+use super::{
+    far::{Moments, moments, moments_gradient},
+    near::Triangle,
+};
 use crate::{
     clusters::Patch,
-    lanes::{LANES, Lane},
-    panels::{Edge, Panels},
+    elements::{Elements, circulation},
+    nodes::{Nodes, Smooth},
+    panels::Panels,
     surface::Surface,
-    wake::{Corner, Piece, Wakes},
+    wake::{Sheets, Wakes},
 };
 
-/// The distance within which a point is near a panel, as a part of the panel's diagonal.
-const NEAR: f64 = 0.25;
-
-/// The influence of a surface and its wakes on its collocation points, for the sources of `B` onset flows.
-pub(crate) struct Influence<'a, const B: usize> {
-    pub(super) panels: &'a Panels,
-    pub(super) wakes: &'a Wakes,
-    pub(super) surface: &'a Surface,
-    /// `s = sigma n` of every panel.
-    pub(super) sources: [Vec<Vector3>; B],
-    pub(super) patches: Vec<PatchRecord<B>>,
-    pub(super) pieces: Vec<PieceRecord>,
+/// What the equations need of a set-up besides the positions.
+#[derive(Clone, Debug)]
+pub(crate) struct Layout {
+    pub nodes: Nodes,
+    pub smooth: Smooth,
+    pub sheets: Sheets,
+    pub elements: Elements,
+    pub patches: Vec<Patch>,
+    /// Cuts on whose sides the test functions differ.
+    pub lines: Vec<Line>,
+    /// Connected piece of every unknown.
+    pub pieces: Vec<u32>,
+    /// Largest distance of a corner of each element from its centroid, at the set-up's positions.
+    pub reach: Vec<f64>,
 }
 
-impl<'a, const B: usize> Influence<'a, B> {
-    pub fn new(panels: &'a Panels, wakes: &'a Wakes, surface: &'a Surface) -> Self {
-        let sources: [Vec<Vector3>; B] = std::array::from_fn(|k| surface.sources(panels.axes()[k]));
-        let patches =
-            panels.patches.iter().map(|patch| PatchRecord::new(patch, panels, surface, &sources)).collect();
-        let mut pieces = Vec::new();
-        for (strip, of_strip) in wakes.pieces.iter().enumerate() {
-            pieces.extend(of_strip.iter().map(|piece| PieceRecord::new(strip, piece, surface)));
-        }
-        Self { panels, wakes, surface, sources, patches, pieces }
-    }
-
-    /// The tile of collocation points with that index, and its mirror image if there is one.
-    pub(super) fn images(&self, index: usize) -> Vec<Tile> {
-        Tile::new(&self.surface.centres, LANES * index).images(self.panels.symmetric)
-    }
+/// An edge that is cut, as the upper panel runs through it.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Line {
+    pub from: u32,
+    pub to: u32,
+    pub upper: u32,
+    pub lower: u32,
 }
 
-/// Left minus right of a vector field on the panels.
-pub(super) fn across(field: &[Vector3], edge: &Edge) -> Vector3 {
-    field[edge.left as usize] - edge.right.map_or_else(Vector3::zeros, |right| field[right as usize])
-}
-
-/// Points that are handled at once: x, y and z in lanes.
-#[derive(Clone, Copy)]
-pub(super) struct Tile(pub [Lane; 3]);
-
-impl Tile {
-    /// The points from `first` on; beyond the last one it is repeated.
-    pub fn new(points: &[Vector3], first: usize) -> Self {
-        let at = |axis: usize| std::array::from_fn(|l| points[(first + l).min(points.len() - 1)][axis]);
-        Self([at(0), at(1), at(2)])
-    }
-
-    /// The tile, and its image in the plane y = 0 if there is one.
-    pub fn images(self, symmetric: bool) -> Vec<Self> {
-        let mut mirrored = self;
-        mirrored.0[1].iter_mut().for_each(|y| *y = -*y);
-        if symmetric { vec![self, mirrored] } else { vec![self] }
-    }
-
-    /// The point of a lane.
-    #[inline(always)]
-    pub fn point(&self, lane: usize) -> Vector {
-        [self.0[0][lane], self.0[1][lane], self.0[2][lane]]
-    }
-
-    /// The way to `x` from the point of a lane.
-    #[inline(always)]
-    pub fn way(&self, x: &Vector, lane: usize) -> Vector {
-        [x[0] - self.0[0][lane], x[1] - self.0[1][lane], x[2] - self.0[2][lane]]
-    }
-
-    /// Whether a point of the tile may lie in a box.
-    pub fn meets(&self, [low, high]: &[Vector3; 2]) -> bool {
-        (0..3).all(|axis| {
-            self.0[axis].iter().any(|x| *x >= low[axis]) && self.0[axis].iter().any(|x| *x <= high[axis])
-        })
-    }
-}
-
-/// The distances of a patch's points from those of a tile, and their inverses.
-#[derive(Default)]
-pub(super) struct Radii {
-    pub r: Vec<Lane>,
-    pub by_r: Vec<Lane>,
-}
-
-impl Radii {
-    #[inline(always)]
-    pub fn fill(&mut self, points: &[Vector], tile: &Tile) {
-        self.r.resize(points.len(), [0.0; LANES]);
-        for (p, r) in points.iter().zip(&mut self.r) {
-            for l in 0..LANES {
-                let [x, y, z] = tile.way(p, l);
-                r[l] = (x * x + y * y + z * z).sqrt();
-            }
-        }
-    }
-
-    #[inline(always)]
-    pub fn invert(&mut self) {
-        self.by_r.resize(self.r.len(), [0.0; LANES]);
-        for (r, by_r) in self.r.iter().zip(&mut self.by_r) {
-            for l in 0..LANES {
-                by_r[l] = 1.0 / r[l];
-            }
-        }
-    }
-}
-
-/// A patch.
-pub(super) struct PatchRecord<const B: usize> {
-    pub points: Vec<Vector>,
-    pub edges: Vec<EdgeRecord<B>>,
-    pub panels: Vec<PanelRecord<B>>,
-    /// The box around [`PanelRecord::reach`] of its panels.
-    pub reach: [Vector3; 2],
-}
-
-impl<const B: usize> PatchRecord<B> {
-    fn new(patch: &Patch, panels: &Panels, surface: &Surface, sources: &[Vec<Vector3>; B]) -> Self {
-        let edge = |local: usize| EdgeRecord::new(patch, local, panels, surface, sources);
-        let panel = |local: usize| PanelRecord::new(patch, local, panels, surface, sources);
-        let records: Vec<PanelRecord<B>> = (0..patch.panels.len()).map(panel).collect();
-        let [mut low, mut high] = [f64::INFINITY, f64::NEG_INFINITY].map(Vector3::repeat);
-        for panel in &records {
-            (low, high) = (low.inf(&panel.reach[0]), high.sup(&panel.reach[1]));
-        }
-        Self {
-            points: patch.points.iter().map(|p| surface.points[*p as usize].into()).collect(),
-            edges: (0..patch.edges.len()).map(edge).collect(),
-            panels: records,
-            reach: [low, high],
-        }
-    }
-}
-
-/// An edge of a patch.
-pub(super) struct EdgeRecord<const B: usize> {
-    /// Index among all edges.
-    pub index: usize,
-    /// Indices among the patch's points.
-    pub ends: [usize; 2],
-    pub a: Vector,
-    /// Unit vector.
-    pub along: Vector,
-    pub length: f64,
-    /// `T = e x (s_left - s_right)` of every onset flow.
-    pub t: [Vector; B],
-}
-
-impl<const B: usize> EdgeRecord<B> {
-    fn new(
-        patch: &Patch,
-        local: usize,
-        panels: &Panels,
-        surface: &Surface,
-        sources: &[Vec<Vector3>; B],
-    ) -> Self {
-        let index = patch.edges[local] as usize;
-        let edge = &panels.edges[index];
-        let along = surface.edges[index] / surface.lengths[index];
-        Self {
-            index,
-            ends: patch.ends[local].map(|v| v as usize),
-            a: surface.points[edge.a as usize].into(),
-            along: along.into(),
-            length: surface.lengths[index],
-            t: std::array::from_fn(|k| along.cross(&across(&sources[k], edge)).into()),
-        }
-    }
-}
-
-/// A panel of a patch.
-pub(super) struct PanelRecord<const B: usize> {
-    /// Index among all panels.
-    pub index: usize,
-    /// Indices among the patch's points.
-    pub corners: [usize; 4],
-    pub a: Vector,
-    pub shape: Shape,
-    pub normal: Vector,
-    /// A box beyond which no point is so near that [`solid_angle`](super::kernels::solid_angle) would lose digits.
-    pub reach: [Vector3; 2],
-    pub centre: Vector,
-    /// `s` of every onset flow.
-    pub s: [Vector; B],
-    /// Solid angle from its own centre.
-    pub own: f64,
-}
-
-impl<const B: usize> PanelRecord<B> {
-    fn new(
-        patch: &Patch,
-        local: usize,
-        panels: &Panels,
-        surface: &Surface,
-        sources: &[Vec<Vector3>; B],
-    ) -> Self {
-        let index = patch.panels[local] as usize;
-        let [a, b, c, d] = panels.corners[index].map(|v| surface.points[v as usize]);
-        let (centre, normal) = (surface.centres[index], surface.normals[index]);
-        let margin = Vector3::repeat(NEAR * (c - a).norm().max((d - b).norm()));
-        Self {
-            index,
-            corners: patch.corners[local].map(|v| v as usize),
-            a: a.into(),
-            shape: Shape::new([a, b, c, d]),
-            normal: normal.into(),
-            reach: [a.inf(&b).inf(&c).inf(&d) - margin, a.sup(&b).sup(&c).sup(&d) + margin],
-            centre: centre.into(),
-            s: std::array::from_fn(|k| sources[k][index].into()),
-            own: own_solid_angle([a, b, c, d], &centre, &normal),
-        }
-    }
-}
-
-/// A piece of a wake.
-pub(super) struct PieceRecord {
-    pub strip: usize,
-    pub corners: PieceCorners,
-}
-
-/// Corners of a piece.
-pub(super) enum PieceCorners {
-    /// From both corners along x to infinity.
-    Strip([Vector; 2]),
-    Quad([Vector; 4]),
-}
-
-impl PieceRecord {
-    fn new(strip: usize, piece: &Piece, surface: &Surface) -> Self {
-        let at = |corner: &Corner| <[f64; 3]>::from(corner.position(&surface.points));
-        let corners = match piece {
-            Piece::Strip(corners) => PieceCorners::Strip(corners.each_ref().map(at)),
-            Piece::Quad(corners) => PieceCorners::Quad(corners.each_ref().map(at)),
+impl Layout {
+    /// `points` are the set-up's.
+    pub fn new(panels: &Panels, wakes: &Wakes, nodes: Nodes, points: &[Vector3]) -> Self {
+        let elements = Elements::new(panels, points);
+        let at = |panel: usize| panels.corners[panel].map(|v| points[v as usize]);
+        let reach = |corners: &[Vector3]| {
+            let centre = corners.iter().sum::<Vector3>() / corners.len() as f64;
+            corners.iter().map(|c| (c - centre).norm()).fold(0.0, f64::max)
         };
-        Self { strip, corners }
+        let of_element = |element: usize| {
+            let element = &elements.list[element];
+            reach(&element.of_corners(&at(element.panel as usize)))
+        };
+        let (low, high) = points
+            .iter()
+            .fold((Vector3::repeat(f64::INFINITY), Vector3::repeat(f64::NEG_INFINITY)), |(low, high), p| {
+                (low.inf(p), high.sup(p))
+            });
+        let centres: Vec<Vector3> = (0..panels.len()).map(|p| at(p).iter().sum::<Vector3>() / 4.0).collect();
+        Self {
+            smooth: Smooth::new(panels, wakes, points),
+            sheets: Sheets::new(wakes, &nodes, (high - low).norm()),
+            patches: Patch::cut(&centres, &nodes.of_corner),
+            lines: lines(panels, wakes, &nodes),
+            pieces: nodes.row_point.iter().map(|p| panels.piece[*p as usize]).collect(),
+            reach: (0..elements.len()).map(of_element).collect(),
+            elements,
+            nodes,
+        }
     }
+
+    /// Node values of unknowns.
+    pub fn node_values(&self, unknowns: &[f64]) -> Vec<f64> {
+        let value = |terms: &Vec<(u32, f64)>| terms.iter().map(|(u, f)| f * unknowns[*u as usize]).sum();
+        self.nodes.value.iter().map(value).collect()
+    }
+
+    /// The transpose of [`node_values`](Self::node_values): adds to the seeds of the unknowns.
+    pub fn add_node_values(&self, seeds: &[f64], unknowns: &mut [f64]) {
+        for (terms, seed) in self.nodes.value.iter().zip(seeds) {
+            terms.iter().for_each(|(u, f)| unknowns[*u as usize] += f * seed);
+        }
+    }
+
+    /// Values at the corners of an element, from those of the nodes.
+    pub fn element_values(&self, element: usize, nodes: &[f64]) -> [f64; 3] {
+        let element = &self.elements.list[element];
+        element.of_corners(&self.nodes.of_corner[element.panel as usize]).map(|n| nodes[n as usize])
+    }
+
+    /// Circulations of the wakes' corners.
+    pub fn circulations(&self, unknowns: &[f64]) -> Vec<f64> {
+        let value = |terms: &Vec<(u32, f64)>| terms.iter().map(|(u, f)| f * unknowns[*u as usize]).sum();
+        self.sheets.circulations.iter().map(value).collect()
+    }
+}
+
+fn lines(panels: &Panels, wakes: &Wakes, nodes: &Nodes) -> Vec<Line> {
+    let mut lines = Vec::new();
+    for (strip, paths) in wakes.strips.iter().zip(&wakes.paths) {
+        lines.push(Line { from: strip.a, to: strip.b, upper: strip.upper, lower: strip.lower });
+        for (side, path) in paths.iter().enumerate() {
+            for pair in path.iter().flat_map(|path| path.windows(2)) {
+                let Some(edge) = panels.edge_between(pair[0], pair[1]) else { continue };
+                let (from, to) = if side == 0 { (pair[1], pair[0]) } else { (pair[0], pair[1]) };
+                let e = &panels.edges[edge as usize];
+                let Some(right) = e.right else { continue };
+                let (upper, lower) = if e.a == from { (e.left, right) } else { (right, e.left) };
+                lines.push(Line { from, to, upper, lower });
+            }
+        }
+    }
+    let differs = |line: &Line| {
+        [line.from, line.to].iter().any(|point| {
+            let [up, low] =
+                [line.upper, line.lower].map(|panel| nodes.row[nodes.at(panels, panel, *point) as usize]);
+            up != low
+        })
+    };
+    lines.retain(differs);
+    lines
+}
+
+/// The surface and its wakes as they act on points.
+pub(crate) struct Influence<'a> {
+    pub panels: &'a Panels,
+    pub layout: &'a Layout,
+    pub surface: &'a Surface,
+    pub(super) sources: Vec<Source>,
+    pub(super) triangles: Vec<Triangle>,
+    pub(super) sheets: Vec<Sheet>,
+}
+
+/// An element as it acts from afar.
+#[derive(Clone, Debug)]
+pub(super) struct Source {
+    pub centroid: Vector3,
+    pub moments: Moments,
+}
+
+/// A triangle of a wake.
+#[derive(Clone, Debug)]
+pub(super) struct Sheet {
+    pub triangle: Triangle,
+    pub circulations: [u32; 3],
+    /// Points at the ends of its sides, where they are points of the surface.
+    pub sides: [Option<[u32; 2]>; 3],
+}
+
+impl<'a> Influence<'a> {
+    pub fn new(panels: &'a Panels, layout: &'a Layout, surface: &'a Surface) -> Self {
+        let triangles: Vec<Triangle> = surface.corners.iter().map(|c| Triangle::new(*c)).collect();
+        let source = |corners: &[Vector3; 3]| {
+            let (centroid, moments) = plane_figure(corners);
+            Source { centroid, moments }
+        };
+        let sources = surface.corners.iter().map(source).collect();
+        let sheets = layout
+            .sheets
+            .triangles
+            .iter()
+            .map(|sheet| {
+                let point = |k: usize| {
+                    let corner = sheet.corners[k];
+                    (!corner.far && corner.x == corner.yz).then_some(corner.yz)
+                };
+                Sheet {
+                    triangle: Triangle::new([0, 1, 2].map(|k| layout.corner(&surface.points, k, sheet))),
+                    circulations: sheet.circulations,
+                    sides: [0, 1, 2].map(|k| Some([point(k)?, point((k + 1) % 3)?])),
+                }
+            })
+            .collect();
+        Self { panels, layout, surface, sources, triangles, sheets }
+    }
+
+    /// Points of view: the surface itself, and the factor of y in its image.
+    pub fn views(&self) -> &'static [f64] {
+        if self.panels.symmetric { &[1.0, -1.0] } else { &[1.0] }
+    }
+
+    /// Circulations of elements and wakes for values of the unknowns.
+    pub fn charges(&self, unknowns: &[f64]) -> Charges {
+        let nodes = self.layout.node_values(unknowns);
+        let elements: Vec<Vector3> = (0..self.layout.elements.len())
+            .map(|e| circulation(&self.surface.corners[e], &self.layout.element_values(e, &nodes)))
+            .collect();
+        let gamma = self.layout.circulations(unknowns);
+        Charges {
+            sheets: self
+                .sheets
+                .iter()
+                .map(|s| circulation(&s.triangle.corners, &s.circulations.map(|g| gamma[g as usize])))
+                .collect(),
+            nodes,
+            gamma,
+            elements,
+        }
+    }
+}
+
+/// Circulations for values of the unknowns.
+#[derive(Clone, Debug)]
+pub(crate) struct Charges {
+    /// Values of the nodes and of the wakes' corners.
+    pub nodes: Vec<f64>,
+    pub gamma: Vec<f64>,
+    pub elements: Vec<Vector3>,
+    pub sheets: Vec<Vector3>,
+}
+
+impl Layout {
+    /// The position of a corner of a wake.
+    pub fn corner(&self, points: &[Vector3], k: usize, sheet: &crate::wake::SheetTriangle) -> Vector3 {
+        let corner = &sheet.corners[k];
+        let far = if corner.far { self.sheets.length } else { 0.0 };
+        corner.position(points) + far * Vector3::x()
+    }
+}
+
+/// Centroid of a triangle, and second moments about it.
+pub(super) fn plane_figure(corners: &[Vector3; 3]) -> (Vector3, Moments) {
+    let centroid = corners.iter().sum::<Vector3>() / 3.0;
+    let mut sum = [0.0; 6];
+    for corner in corners {
+        let part = moments(&(corner - centroid), 1.0 / 12.0);
+        sum.iter_mut().zip(part).for_each(|(s, p)| *s += p);
+    }
+    (centroid, sum)
+}
+
+/// The change of [`plane_figure`] with the corners.
+pub(super) fn plane_figure_jvp(
+    corners: &[Vector3; 3],
+    centroid: &Vector3,
+    change: &[Vector3; 3],
+) -> (Vector3, Moments) {
+    let mut sum = [0.0; 6];
+    for (corner, d) in corners.iter().zip(change) {
+        let x = corner - centroid;
+        let part = [
+            2.0 * x.x * d.x,
+            2.0 * x.y * d.y,
+            2.0 * x.z * d.z,
+            x.x * d.y + x.y * d.x,
+            x.y * d.z + x.z * d.y,
+            x.z * d.x + x.x * d.z,
+        ];
+        (0..6).for_each(|k| sum[k] += part[k] / 12.0);
+    }
+    (change.iter().sum::<Vector3>() / 3.0, sum)
+}
+
+/// The transpose: seeds of the corners from those of centroid and moments.
+pub(super) fn plane_figure_vjp(
+    corners: &[Vector3; 3],
+    centroid: &Vector3,
+    (by_centroid, by_moments): (&Vector3, &Moments),
+) -> [Vector3; 3] {
+    std::array::from_fn(|k| by_centroid / 3.0 + moments_gradient(by_moments, &(corners[k] - centroid)) / 12.0)
 }

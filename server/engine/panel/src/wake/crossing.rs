@@ -2,21 +2,20 @@
 
 use moldline_mesh::Vector3;
 
-use super::{sheets::Piece, strips::Strip};
+use super::{sheets::Corner, strips::Strip};
 use crate::{PanelError, panels::Panels};
 
 /// Distance that counts as touching, as a fraction of a length.
 const TOUCH: f64 = 1e-9;
 
-/// Checks that no edge crosses the infinite pieces of a strip. Sheets beside a body are left out: they begin on it.
+/// Checks that no edge crosses the infinite part of a strip, from `pq` on. The sheet beside a body is left out: it begins on it.
 pub(super) fn check(
     panels: &Panels,
     points: &[Vector3],
     strip: &Strip,
-    pieces: &[Piece],
+    [p, q]: &[Corner; 2],
 ) -> Result<(), PanelError> {
-    for piece in pieces {
-        let Piece::Strip([p, q]) = piece else { continue };
+    {
         let own = [p.x, q.x, p.yz, q.yz];
         let ends = [p, q].map(|corner| corner.position(points));
         for e in &panels.edges {

@@ -31,7 +31,11 @@ pub(super) fn find(
     if edges.is_empty() { Err(PanelError::NoTrailingEdge { how }) } else { Ok(edges) }
 }
 
-/// The angle between the outward normals at an edge, degrees, and the x component of their unit bisector; none at an edge of one panel.
+/// Least cosine of the sweep of an edge that is found: beyond it is a tip.
+const STEEPEST: f64 = 0.1;
+
+/// The angle between the outward normals at an edge, degrees, and the cosine of the angle between their bisector and what of the x axis is normal
+/// to the edge; none at an edge of one panel.
 fn turn(panels: &Panels, points: &[Vector3], edge: u32) -> Option<(f64, f64)> {
     let e = &panels.edges[edge as usize];
     let normal = |panel: u32| {
@@ -40,7 +44,10 @@ fn turn(panels: &Panels, points: &[Vector3], edge: u32) -> Option<(f64, f64)> {
     };
     let (one, two) = (normal(e.left), normal(e.right?));
     let angle = one.dot(&two).clamp(-1.0, 1.0).acos().to_degrees();
-    Some((angle, (one + two).normalize().x))
+    let along = (points[e.b as usize] - points[e.a as usize]).normalize();
+    let normal_part = (1.0 - along.x * along.x).max(0.0).sqrt();
+    let downstream = if normal_part > STEEPEST { (one + two).normalize().x / normal_part } else { 0.0 };
+    Some((angle, downstream))
 }
 
 /// Edges where the normal turns by an angle and that point downstream.

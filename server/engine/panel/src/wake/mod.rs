@@ -1,13 +1,13 @@
 //! Wakes: the edges where they leave the surface, and the strips of which they consist.
 //!
-//! From every trailing edge a strip of constant doublet strength (upper minus lower potential, [`crate::kutta`]) runs
-//! downstream along x to infinity. Where a trailing edge ends on a body, the circulation of its last strip goes on over
+//! From every trailing edge a strip runs downstream along x, whose doublet strength is the circulation (upper minus lower potential),
+//! linear between the edge's ends. Where a trailing edge ends on a body, the circulation of its end goes on over
 //! the body: the strip's inner border then follows edges of the mesh along the body, near the straight line
-//! downstream, to the body's aft end on the plane of symmetry. The potential jumps across those edges by the strip's circulation, so that
+//! downstream, to the body's aft end. The potential jumps across those edges by the circulation ([`crate::nodes`]), so that
 //! no vortex lies on the body, and what matters of the path is only that the sheet beside it is outside the body.
 //!
-//! In the order of the data: [`edges`] (which edges are trailing edges), [`strips`] (their lines and sides), [`paths`] (over bodies), [`sheets`]
-//! (geometry, jumps and borders of a strip), [`crossing`] (whether a wake cuts the surface).
+//! In the order of the data: [`edges`] (which edges are trailing edges), [`strips`] (their lines and sides), [`paths`] (over bodies), [`crossing`]
+//! (whether a wake cuts the surface), [`sheets`] (triangles of the wakes).
 
 mod crossing;
 mod edges;
@@ -17,7 +17,7 @@ mod strips;
 
 use moldline_mesh::{SurfaceMesh, Vector3};
 
-pub(crate) use sheets::{Corner, Jump, Piece, Ray};
+pub(crate) use sheets::{SheetTriangle, Sheets};
 pub(crate) use strips::{Beside, Strip};
 
 use crate::{PanelError, TrailingEdges, panels::Panels};
@@ -26,11 +26,8 @@ use crate::{PanelError, TrailingEdges, panels::Panels};
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Wakes {
     pub strips: Vec<Strip>,
-    /// Pieces of every strip.
-    pub pieces: Vec<Vec<Piece>>,
-    /// Trailing edges and edges of paths over bodies.
-    pub jumps: Vec<Jump>,
-    pub rays: Vec<Ray>,
+    /// Paths over bodies from both ends of every strip, where it ends on one.
+    pub paths: Vec<[Option<Vec<u32>>; 2]>,
     /// Whether an edge of the panels is a trailing edge.
     pub trailing: Vec<bool>,
 }
@@ -45,14 +42,13 @@ impl Wakes {
         let mut strips = strips::along_lines(panels, &points, &edges)?;
         let mut paths = Vec::with_capacity(strips.len());
         for strip in &mut strips {
-            paths.push(paths::over_bodies(panels, &points, &trailing, strip)?);
+            let of_strip = paths::over_bodies(panels, &points, &trailing, strip)?;
+            if of_strip.iter().all(Option::is_some) {
+                return Err(PanelError::NoCarryOver { vertex: panels.vertex_of[strip.a as usize] });
+            }
+            paths.push(of_strip);
         }
-        let mut wakes = Self { trailing, ..Self::default() };
-        for (index, (strip, paths)) in (0..).zip(strips.iter().zip(paths)) {
-            wakes.pieces.push(sheets::lay(panels, index, strip, paths, &mut wakes.jumps, &mut wakes.rays)?);
-        }
-        wakes.strips = strips;
-        Ok(wakes)
+        Ok(Self { strips, paths, trailing })
     }
 
     /// Checks that no strip passes through a cell.
@@ -60,9 +56,28 @@ impl Wakes {
     /// # Errors
     /// [`PanelError::WakeCutsBody`] for the first crossing.
     pub fn check(&self, panels: &Panels, points: &[Vector3]) -> Result<(), PanelError> {
-        for (strip, pieces) in self.strips.iter().zip(&self.pieces) {
-            crossing::check(panels, points, strip, pieces)?;
+        for (strip, paths) in self.strips.iter().zip(&self.paths) {
+            crossing::check(panels, points, strip, &sheets::rest(strip, paths))?;
         }
         Ok(())
+    }
+
+    /// What is left of a circulation at its body's aft end off the plane of symmetry, as factors of those at the ends of strips (strip after strip): all that
+    /// arrive there give up the same share of what would leave as one vortex.
+    pub fn leaving(&self, index: usize, side: usize) -> Vec<(u32, f64)> {
+        let end = self.strips[index].beside[side];
+        let mut arriving = Vec::new();
+        for (other, strip) in self.strips.iter().enumerate() {
+            for of in 0..2 {
+                if strip.beside[of] == end {
+                    arriving.push((2 * other + of, if of == side { 1.0 } else { -1.0 }));
+                }
+            }
+        }
+        let share = 1.0 / arriving.len() as f64;
+        let own = 2 * index + side;
+        let term =
+            |(other, sign): (usize, f64)| (other as u32, f64::from(u8::from(other == own)) - sign * share);
+        arriving.into_iter().map(term).filter(|(_, factor)| *factor != 0.0).collect()
     }
 }

@@ -7,8 +7,6 @@ use crate::{PanelError, panels::Panels};
 /// One strip.
 #[derive(Clone, Debug)]
 pub(crate) struct Strip {
-    /// The trailing edge.
-    pub edge: u32,
     /// From here, as the upper panel runs through it ...
     pub a: u32,
     /// ... to here.
@@ -140,13 +138,6 @@ fn add_line(panels: &Panels, line: &[Step], strips: &mut Vec<Strip>) {
             _ if closed => beside(0),
             _ => Beside::Tip,
         };
-        strips.push(Strip {
-            edge: step.edge,
-            a: step.from,
-            b: step.to,
-            upper,
-            lower,
-            beside: [before, after],
-        });
+        strips.push(Strip { a: step.from, b: step.to, upper, lower, beside: [before, after] });
     }
 }

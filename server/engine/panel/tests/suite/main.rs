@@ -3,7 +3,6 @@
 #![allow(clippy::unwrap_used, reason = "helpers of tests may panic")]
 
 mod derivatives;
-mod dual;
 mod flow;
 mod refusals;
 mod solvers;

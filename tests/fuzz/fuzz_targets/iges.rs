@@ -1,0 +1,17 @@
+//! An IGES file: it is imported or refused.
+#![no_main]
+
+use libfuzzer_sys::fuzz_target;
+use moldline_aircraft_files::{ImportLimits, ImportOptions, import};
+use moldline_foundation::monitor::NoMonitor;
+
+fuzz_target!(|input: &[u8]| {
+    // The start section, which tells the format.
+    let text = [format!("{:72}S      1\n", "").as_bytes(), input].concat();
+    let _ = import(&text, &options(), &NoMonitor);
+});
+
+fn options() -> ImportOptions {
+    let limits = ImportLimits { bytes: 1 << 20, entities: 10_000, patches: 50, control_points: 2000 };
+    ImportOptions { limits, ..ImportOptions::default() }
+}
