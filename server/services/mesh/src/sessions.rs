@@ -57,7 +57,7 @@ impl Service {
             charged: 0,
         };
         record.charged = record.charge();
-        let place = self.reserve_session(caller, &id, record.charged).await?;
+        let place = self.reserve(caller, Kind::Session, &id, record.charged).await?;
         if !self.store.put_session(tenant.as_str(), &id, 1, &record).await? {
             // A concurrent copy of the same request was faster.
             let found = self.opened_before(caller, &id, request_id, &record.opened).await?;
@@ -92,15 +92,16 @@ impl Service {
         }
     }
 
-    /// Reserves a place, or more bytes, for a session.
-    async fn reserve_session(
+    /// Reserves a place, or more bytes, for a set-up or a session.
+    pub(crate) async fn reserve(
         &self,
         caller: &Principal,
+        kind: Kind,
         id: &str,
         bytes: u64,
     ) -> Result<Reservation, ServiceError> {
         let quota = self.limits.quota();
-        let place = self.store.reserve(caller.tenant.as_str(), Kind::Session, id, bytes, &quota).await?;
+        let place = self.store.reserve(caller.tenant.as_str(), kind, id, bytes, &quota).await?;
         place.map_err(|excess| self.exceeds(excess, bytes))
     }
 
@@ -187,7 +188,7 @@ impl Service {
             }
             let charge = record.charge();
             let more = match charge > record.charged {
-                true => Some(self.reserve_session(caller, id, charge).await?),
+                true => Some(self.reserve(caller, Kind::Session, id, charge).await?),
                 false => None,
             };
             record.charged = charge;

@@ -99,14 +99,14 @@ impl Service {
         let bytes: u64 = content.files.iter().map(|(_, file)| file.len() as u64).sum();
         let known = self.store.access_or_damage(tenant.as_str(), &id).await?.map(|known| known.record);
         let new = !matches!(known, Some(Ok(record)) if record.owned);
-        let place = if new { Some(self.reserve_setup(caller, &id, bytes).await?) } else { None };
+        let place = if new { Some(self.reserve(caller, Kind::Setup, &id, bytes).await?) } else { None };
         let files = std::mem::take(&mut content.files);
         let hide = new && self.limits.hide_known;
         let setup = self.setups.of_content(tenant, content, hide, tell).await?;
         self.store.put_setup(&files).await?;
         // A concurrent upload of the same content that failed may have taken the reservation back.
         let place = match place {
-            Some(_) => Some(self.reserve_setup(caller, &id, bytes).await?),
+            Some(_) => Some(self.reserve(caller, Kind::Setup, &id, bytes).await?),
             None => None,
         };
         let (access, built) = self.own(caller, &setup, bytes, visibility).await?;
@@ -115,18 +115,6 @@ impl Service {
             tokio::time::sleep_until((began + setup.answer_time()).into()).await;
         }
         Ok(Created { setup, access, built })
-    }
-
-    /// Reserves a place for a set-up.
-    async fn reserve_setup(
-        &self,
-        caller: &Principal,
-        id: &str,
-        bytes: u64,
-    ) -> Result<Reservation, ServiceError> {
-        let quota = self.limits.quota();
-        let place = self.store.reserve(caller.tenant.as_str(), Kind::Setup, id, bytes, &quota).await?;
-        place.map_err(|excess| self.exceeds(excess, bytes))
     }
 
     /// Makes the caller an owner of a set-up; whether it was none before.
