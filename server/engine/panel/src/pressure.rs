@@ -19,7 +19,7 @@ use crate::{
     influence::Layout,
     panels::Panels,
     recovery::Recovery,
-    surface::{Surface, SurfaceChange, area, area_by_corners},
+    surface::{Surface, SurfaceChange, area, area_by_corners, area_jvp},
 };
 
 /// The area vector in real coordinates, and its transpose.
@@ -188,11 +188,6 @@ impl<const B: usize> Potentials<'_, B> {
             }
         }
     }
-}
-
-/// The change of a triangle's area vector.
-fn area_jvp(corners: &[Vector3; 3], d: &[Vector3; 3]) -> Vector3 {
-    0.5 * ((d[1] - d[0]).cross(&(corners[2] - corners[0])) + (corners[1] - corners[0]).cross(&(d[2] - d[0])))
 }
 
 impl<const B: usize> Pressure<B> {

@@ -30,6 +30,11 @@ pub(crate) fn area(corners: &[Vector3; 3]) -> Vector3 {
     0.5 * (corners[1] - corners[0]).cross(&(corners[2] - corners[0]))
 }
 
+/// The change of [`area`] with the corners.
+pub(crate) fn area_jvp(corners: &[Vector3; 3], d: &[Vector3; 3]) -> Vector3 {
+    0.5 * ((d[1] - d[0]).cross(&(corners[2] - corners[0])) + (corners[1] - corners[0]).cross(&(d[2] - d[0])))
+}
+
 /// The gradient of `of.area` with respect to the corners.
 pub(crate) fn area_by_corners(of: &Vector3, corners: &[Vector3; 3]) -> [Vector3; 3] {
     [0, 1, 2].map(|k: usize| 0.5 * of.cross(&(corners[(k + 2) % 3] - corners[(k + 1) % 3])))

@@ -252,22 +252,20 @@ impl Influence<'_> {
             return triangle.own_mean_with_gradient().0;
         }
         let on = if view.y > 0.0 { target.on_side(self, element) } else { None };
-        let probes = target.probes();
-        mean_over(&probes, &triangle.means(&target.places(&probes, view), on))
+        mean_over(&target.probes, &triangle.means(&target.places(view), on))
     }
 
     /// The mean vector potential at a target, times `4 pi`, for unit circulations at the corners of the wakes.
     fn wake_potential(&self, target: &Target, gamma: &mut [Vector3]) {
         gamma.fill(Vector3::zeros());
-        let probes = target.probes();
         for &y in self.views() {
             let view = View::new(target, y);
-            let places = target.places(&probes, &view);
+            let places = target.places(&view);
             for (index, sheet) in
                 self.sheets.iter().enumerate().filter(|(_, sheet)| !sheet.triangle.is_empty())
             {
                 let on = if y > 0.0 { target.on_sheet(self, index) } else { None };
-                let mean = mean_over(&probes, &sheet.triangle.means(&places, on));
+                let mean = mean_over(&target.probes, &sheet.triangle.means(&places, on));
                 for k in 0..3 {
                     let unit: [f64; 3] = std::array::from_fn(|j| if j == k { 1.0 } else { 0.0 });
                     let charge = view.turned(&circulation(&sheet.triangle.corners, &unit));

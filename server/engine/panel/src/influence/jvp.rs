@@ -17,7 +17,7 @@ use crate::{
     Monitor, PanelError, Stage,
     elements::circulation,
     progress::Progress,
-    surface::{SurfaceChange, area},
+    surface::{SurfaceChange, area, area_jvp},
 };
 
 /// A change of the surface in one direction, and of all that acts with it.
@@ -259,9 +259,7 @@ impl Influence<'_> {
         for (element, record) in elements.list.iter().enumerate() {
             let corners = &self.surface.corners[element];
             let d = change.corners(self.panels, elements, element);
-            let d_area = 0.5
-                * ((d[1] - d[0]).cross(&(corners[2] - corners[0]))
-                    + (corners[1] - corners[0]).cross(&(d[2] - d[0])));
+            let d_area = area_jvp(corners, &d);
             for (k, out) in out.iter_mut().enumerate() {
                 let onset = self.surface.onset(axes[k]);
                 let d_onset = change.beta * self.surface.onset_by_beta(axes[k]);

@@ -35,10 +35,33 @@ pub(super) enum Carrier {
     Line(usize, usize),
 }
 
-/// Points of a target: weights of its corners, and weights in the mean.
+/// Points of a target over which the potential of near triangles is averaged: weights of its corners, and weights in the mean. Lanes without a point
+/// have no weight.
+#[derive(Clone, Debug)]
 pub(super) struct Probes {
     pub corners: [Lane; 3],
     pub weights: Lane,
+}
+
+impl Probes {
+    fn new(carrier: Carrier) -> Self {
+        let mut probes = Probes { corners: [[0.0; LANES]; 3], weights: [0.0; LANES] };
+        match carrier {
+            Carrier::Element(_) => {
+                for l in 0..LANES {
+                    let (corners, weight) = PROBES[l.min(PROBES.len() - 1)];
+                    (0..3).for_each(|k| probes.corners[k][l] = corners[k]);
+                    probes.weights[l] = if l < PROBES.len() { weight } else { 0.0 };
+                }
+            }
+            Carrier::Line(_, point) => {
+                let (t, _) = gauss(point);
+                probes.corners = [[1.0 - t; LANES], [t; LANES], [0.0; LANES]];
+                probes.weights[0] = 1.0;
+            }
+        }
+        probes
+    }
 }
 
 /// A carrier as a target of the vector potential: its corners and, from afar, its centroid and moments.
@@ -50,6 +73,7 @@ pub(super) struct Target {
     pub centroid: Vector3,
     pub moments: Moments,
     pub reach: f64,
+    pub probes: Probes,
     /// Unknowns and the circulation of their test functions.
     pub rows: Vec<(u32, Vector3)>,
 }
@@ -84,7 +108,8 @@ impl Target {
         };
         let rows = [0, 1, 2].map(row).to_vec();
         let reach = layout.reach[element];
-        Self { carrier: Carrier::Element(element), corners, centroid, moments, reach, rows }
+        let carrier = Carrier::Element(element);
+        Self { carrier, corners, centroid, moments, reach, probes: Probes::new(carrier), rows }
     }
 
     pub fn line(influence: &Influence<'_>, index: usize, point: usize) -> Self {
@@ -95,6 +120,7 @@ impl Target {
         let hat = [1.0 - t, t];
         Self {
             carrier: Carrier::Line(index, point),
+            probes: Probes::new(Carrier::Line(index, point)),
             corners: [from, to, Vector3::zeros()],
             centroid: hat[0] * from + hat[1] * to,
             moments: [0.0; 6],
@@ -122,34 +148,14 @@ impl Target {
         }
     }
 
-    /// Points over which the potential of near triangles is averaged. Lanes without a point have no weight.
-    pub fn probes(&self) -> Probes {
-        let mut probes = Probes { corners: [[0.0; LANES]; 3], weights: [0.0; LANES] };
-        match self.carrier {
-            Carrier::Element(_) => {
-                for l in 0..LANES {
-                    let (corners, weight) = PROBES[l.min(PROBES.len() - 1)];
-                    (0..3).for_each(|k| probes.corners[k][l] = corners[k]);
-                    probes.weights[l] = if l < PROBES.len() { weight } else { 0.0 };
-                }
-            }
-            Carrier::Line(_, point) => {
-                let (t, _) = gauss(point);
-                probes.corners = [[1.0 - t; LANES], [t; LANES], [0.0; LANES]];
-                probes.weights[0] = 1.0;
-            }
-        }
-        probes
-    }
-
     /// The places of probes as a view has them.
-    pub fn places(&self, probes: &Probes, view: &View) -> Points {
+    pub fn places(&self, view: &View) -> Points {
         let mut places = [[0.0; LANES]; 3];
         for (k, corner) in self.corners.iter().enumerate() {
             let corner = view.place(corner);
             for axis in 0..3 {
                 for l in 0..LANES {
-                    places[axis][l] += probes.corners[k][l] * corner[axis];
+                    places[axis][l] += self.probes.corners[k][l] * corner[axis];
                 }
             }
         }

@@ -132,8 +132,8 @@ impl Influence<'_> {
 
 /// The mean over the target's probes.
 fn near(target: &Target, view: &View, triangle: &Triangle, on: Option<usize>) -> Near {
-    let probes = target.probes();
-    let (means, gradients) = triangle.means_with_gradients(&target.places(&probes, view), on);
+    let probes = &target.probes;
+    let (means, gradients) = triangle.means_with_gradients(&target.places(view), on);
     let mut near = Near { mean: 0.0, by_target: [Vector3::zeros(); 3], by_source: [Vector3::zeros(); 3] };
     for l in 0..LANES {
         let weight = probes.weights[l];
