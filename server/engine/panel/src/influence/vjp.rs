@@ -22,7 +22,7 @@ use crate::{
 };
 
 /// Sums of seeds that are kept beside each other, each over a part of the targets: so many threads can work, and so much memory is taken.
-const SUMS: usize = 48;
+const SUMS: usize = 32;
 
 /// Weights of the residual: for every unknown, for every onset flow.
 pub(crate) type PairSeeds<const B: usize> = [Vec<f64>; B];
@@ -317,7 +317,7 @@ impl Influence<'_> {
         let progress = Progress::new(monitor, Stage::Derivative, groups.len());
         let none = || -> Vec<Gathered<B>> { seeds.iter().map(|_| Gathered::new(self)).collect() };
         // The same division for any number of threads, so that sums have one order.
-        let several = (SUMS / seeds.len().max(1)).max(4);
+        let several = (SUMS / seeds.len().max(1)).max(2);
         let parts: Vec<Vec<Gathered<B>>> = groups
             .par_chunks(groups.len().div_ceil(several))
             .map(|groups| {

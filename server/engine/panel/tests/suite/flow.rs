@@ -66,8 +66,8 @@ fn rectangular_wing() {
 fn elliptic_wing() {
     let chord: fn(f64) -> f64 = |eta| (1.0 - (0.98 * eta).powi(2)).sqrt();
     let wing = Wing {
-        around: 40,
-        span: 48,
+        around: 60,
+        span: 40,
         half_span: 4.0,
         chord,
         leading_edge: |eta| -0.25 * (1.0 - (0.98 * eta).powi(2)).sqrt(),
