@@ -70,6 +70,44 @@ def test_sighup_does_not_stop_a_server(binary: Path) -> None:
         assert any("asked to reload" in line for line in server.log)
 
 
+def test_sighup_exchanges_quotas(binary: Path, setup_folder: Path, tmp_path: Path) -> None:
+    """What a tenant has stays; a file that is wrong changes nothing."""
+    quotas = tmp_path / "quotas.json"
+
+    def exchange(server: Server, text: str) -> None:
+        quotas.write_text(text)
+        server.process.send_signal(signal.SIGHUP)
+        time.sleep(0.3)
+
+    quotas.write_text('{"format": 1, "tenants": {"local": {"sessions": 1}}}')
+    once = moldline.Retry(attempts=1)
+    with Server(binary, "--quotas", str(quotas)) as server, server.client(retry=once) as client:
+        setup = client.create_setup(setup_folder)
+        first = setup.session()
+        with pytest.raises(moldline.ResourceExhausted, match="limit is 1"):
+            setup.session()
+        exchange(server, '{"format": 1, "tenants": {"local": {"sessions": 2}}}')
+        second = setup.session()
+        for text in ["nonsense", '{"format": 1, "tenants": {"local": {"session": 3}}}']:
+            exchange(server, text)
+            with pytest.raises(moldline.ResourceExhausted, match="limit is 2"):
+                setup.session()
+        assert sum("stays as it was" in line for line in server.log) == 2
+        exchange(server, '{"format": 1, "tenants": {"local": {"sessions": 1, "setups": 0}}}')
+        for session in [first, second]:
+            session.deform()
+        with pytest.raises(moldline.ResourceExhausted, match="limit is 1"):
+            setup.session()
+        assert server.stop() == 0
+
+
+def test_a_server_does_not_start_with_quotas_that_it_cannot_read(binary: Path, tmp_path: Path) -> None:
+    serve = [str(binary), "serve", "--store", "memory", "--listen", "127.0.0.1:0", "--quotas", str(tmp_path / "none")]
+    refused = subprocess.run(serve, capture_output=True, text=True, timeout=60)
+    assert refused.returncode == 1
+    assert "quotas" in refused.stderr
+
+
 def test_an_upload_under_way_is_finished_by_a_drain(binary: Path) -> None:
     """The body still comes for seconds after the signal; its answer is sent, and the exit code is 0."""
     with Server(binary) as server:
