@@ -6,7 +6,7 @@ use moldline_mesh::Vector3;
 
 use crate::{
     Flow, Monitor, PanelError, PanelSetup, Scalars, Stage,
-    bounds::within,
+    bounds::{results, within},
     coefficients,
     distributions::{self, Distributions, form},
     panel_setup::Component,
@@ -161,13 +161,15 @@ impl Solution {
     ///
     /// # Errors
     /// [`PanelError::OutOfRange`] for a flow that is not finite or reference values that are not positive,
-    /// [`PanelError::Sideslip`] over a half.
+    /// [`PanelError::Sideslip`] over a half, [`PanelError::Overflow`].
     pub fn analyse(&self, flow: &Flow) -> Result<Analysis, PanelError> {
         self.check_flow(flow)?;
-        Ok(match &self.state {
+        let analysis = match &self.state {
             AnyState::Symmetric(state) => self.analysis(state, flow),
             AnyState::Full(state) => self.analysis(state, flow),
-        })
+        };
+        analysis.check()?;
+        Ok(analysis)
     }
 
     pub(crate) fn check_flow(&self, flow: &Flow) -> Result<(), PanelError> {
@@ -232,6 +234,19 @@ impl Solution {
             residual: state.residual,
             rounds: state.rounds,
         }
+    }
+}
+
+impl Analysis {
+    /// Nothing that is not finite leaves.
+    fn check(&self) -> Result<(), PanelError> {
+        let Self { scalars, wake_lift, disagreement, total, components, sections, cp, vertex_cp, .. } = self;
+        results("coefficients", scalars.to_array().into_iter().chain([*wake_lift, *disagreement]))?;
+        let of = |loads: &Loads| loads.force.into_iter().chain(loads.moment).chain([loads.lift, loads.drag]);
+        results("loads", components.iter().chain([total]).flat_map(of))?;
+        let of = |section: &Section| section.middle.into_iter().chain(section.span).chain([section.load]);
+        results("sections", sections.iter().flat_map(of))?;
+        results("cp", cp.iter().chain(vertex_cp).copied())
     }
 }
 
