@@ -17,6 +17,7 @@ mod import;
 mod local;
 mod machine;
 mod output;
+mod page;
 pub mod panel;
 #[cfg(feature = "plot")]
 mod plot;
