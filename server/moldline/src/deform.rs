@@ -112,6 +112,7 @@ fn report(setup: &Setup, design: &[f64], deformation: &Deformation) -> serde_jso
         "held_residual": deformation.held_residual,
         "projection_residual": deformation.projection_residual,
         "projection_steps": deformation.projection_steps,
+        "crossing_pairs": deformation.crossings.len(),
     })
 }
 
