@@ -7,6 +7,7 @@ use crate::{
     deform::DeformOptions,
     failure::Failure,
     import::ImportCommand,
+    mesh::MeshOptions,
     output::say,
     panel::{analyze::AnalyzeOptions, serve::PanelServeOptions},
     serve::ServeOptions,
@@ -45,6 +46,8 @@ pub enum Command {
     Deform(DeformOptions),
     /// Make a set-up of an aircraft file: STEP or IGES, untrimmed
     Import(ImportCommand),
+    /// Mesh the union of a set-up's components
+    Mesh(MeshOptions),
     /// Build a set-up on this machine and print its report
     Setup(SetupOptions),
     /// Check the derivatives of a set-up against their transposes, dual numbers and central differences

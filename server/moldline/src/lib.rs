@@ -16,6 +16,7 @@ mod http;
 mod import;
 mod local;
 mod machine;
+mod mesh;
 mod output;
 pub mod panel;
 #[cfg(feature = "plot")]
@@ -49,6 +50,7 @@ pub fn run(command: Command) -> Result<(), Failure> {
         Command::Token(options) => Ok(token::run(&options)?),
         Command::Deform(options) => deform::run(&options),
         Command::Import(options) => import::run(&options),
+        Command::Mesh(options) => mesh::run(&options),
         Command::Setup(options) => setup::report(&options),
         Command::Check(options) => check::run(&options),
         Command::Schema(options) => setup::schema(&options),

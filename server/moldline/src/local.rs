@@ -13,7 +13,10 @@ use moldline_deform::{Monitor, Setup, Stage};
 use moldline_host::{Cancellation, ServiceError};
 use moldline_mesh::io::Format;
 use moldline_mesh_service::{explained, reporter};
-use moldline_setup_files::{ArchiveKind, Files, Limits, SetupFileError, read_folder, read_setup, unpack};
+use moldline_setup_files::{
+    ArchiveKind, Files, GeometryContent, Limits, SetupFileError, read_folder, read_geometry,
+    read_geometry_folder, read_setup, unpack,
+};
 
 use crate::{bar::Bar, failure::Failure, values};
 
@@ -80,6 +83,14 @@ pub fn with_bar<T, E: Into<ServiceError>>(
     let bar = Bar::new();
     let monitor = reporter(Cancellation::default(), |progress| bar.show(&progress));
     work(&monitor).map_err(|error| Failure::Refused(error.into()))
+}
+
+/// Reads the components of a set-up folder, and the name of the mesh file in it.
+pub fn geometry(folder: &Path, setup_file: Option<&str>) -> Result<GeometryContent, Failure> {
+    let limits = Limits::default();
+    let path = setup_file.map_or_else(|| folder.to_owned(), |name| folder.join(name));
+    let (files, setup_file) = read_geometry_folder(&path, &limits).map_err(ServiceError::from)?;
+    Ok(read_geometry(&files, Some(&setup_file), &limits).map_err(ServiceError::from)?)
 }
 
 fn read(source: &Source, limits: &Limits) -> Result<(Files, String), SetupFileError> {

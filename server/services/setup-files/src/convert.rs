@@ -1,7 +1,7 @@
 //! Conversion of documents to the engine's input.
 
 use moldline_deform::SetupInput;
-use moldline_geometry::{Component, ComponentOptions, PatchInput, Primitive};
+use moldline_geometry::{Body, Component, ComponentOptions, PatchInput, Primitive};
 use moldline_mesh::{
     Cell, Group, Origin, SurfaceMesh,
     io::{self, Format, Imported},
@@ -51,29 +51,7 @@ pub fn read_setup(
     let document = parse_setup(&setup_file, &files[&setup_file])?;
     let mut reader = Reader { files, limits, used: vec![setup_file.clone()], control_points: 0 };
 
-    let count = document.components.len();
-    if count == 0 {
-        return Err(SetupFileError::Size {
-            field: "components".into(),
-            found: 0,
-            what: "entries",
-            expected: "at least one".into(),
-        });
-    }
-    too_many("components", "components", count, limits.components)?;
-    let mut components = Vec::with_capacity(count);
-    let mut references = Vec::with_capacity(count);
-    for (index, entry) in document.components.into_iter().enumerate() {
-        if references.iter().any(|r: &ComponentReference| r.name == entry.name) {
-            return Err(SetupFileError::Duplicate {
-                field: format!("components[{index}].name"),
-                name: entry.name,
-            });
-        }
-        let (component, reference) = reader.component(index, entry)?;
-        components.push(component);
-        references.push(reference);
-    }
+    let (components, references) = reader.components(document.components)?;
     let variables: Vec<_> = document.parameterisation.variables.into_iter().map(variable).collect();
     let operations: Vec<_> = document.parameterisation.operations.into_iter().map(operation).collect();
     let unit = document.mesh.unit.metres();
@@ -158,6 +136,37 @@ struct Reader<'a> {
     control_points: usize,
 }
 
+/// The components of a set-up that has no mesh yet.
+#[derive(Clone, Debug)]
+pub struct GeometryContent {
+    /// The components, each with its internal control points.
+    pub bodies: Vec<Body>,
+    /// The mesh file that the set-up names.
+    pub mesh_file: Option<String>,
+}
+
+/// Reads the components of a set-up alone. `setup_file` as for [`read_setup`].
+///
+/// # Errors
+/// The first thing that is wrong, with the path of the field.
+pub fn read_geometry(
+    files: &Files,
+    setup_file: Option<&str>,
+    limits: &Limits,
+) -> Result<GeometryContent, SetupFileError> {
+    let setup_file = find_setup_file(files, setup_file)?;
+    let document = parse_setup(&setup_file, &files[&setup_file])?;
+    let mut reader = Reader { files, limits, used: Vec::new(), control_points: 0 };
+    let (components, references) = reader.components(document.components)?;
+    let bodies = components.into_iter().zip(references).map(|(component, reference)| {
+        let points: Vec<[f64; 3]> = reference.patches.into_iter().flat_map(|p| p.control_points).collect();
+        let points = component.internal_control_points(&points);
+        Body::new(component.into(), points)
+    });
+    let mesh_file = document.mesh.file.map(|file| clean_path("mesh.file", &file)).transpose()?;
+    Ok(GeometryContent { bodies: bodies.collect(), mesh_file })
+}
+
 impl<'a> Reader<'a> {
     fn file(&mut self, field: &str, path: &str) -> Result<(String, &'a [u8]), SetupFileError> {
         let path = clean_path(field, path)?;
@@ -168,6 +177,36 @@ impl<'a> Reader<'a> {
             self.used.push(path.clone());
         }
         Ok((path, bytes))
+    }
+
+    fn components(
+        &mut self,
+        entries: Vec<ComponentDocument>,
+    ) -> Result<(Vec<Component>, Vec<ComponentReference>), SetupFileError> {
+        let count = entries.len();
+        if count == 0 {
+            return Err(SetupFileError::Size {
+                field: "components".into(),
+                found: 0,
+                what: "entries",
+                expected: "at least one".into(),
+            });
+        }
+        too_many("components", "components", count, self.limits.components)?;
+        let mut components = Vec::with_capacity(count);
+        let mut references = Vec::with_capacity(count);
+        for (index, entry) in entries.into_iter().enumerate() {
+            if references.iter().any(|r: &ComponentReference| r.name == entry.name) {
+                return Err(SetupFileError::Duplicate {
+                    field: format!("components[{index}].name"),
+                    name: entry.name,
+                });
+            }
+            let (component, reference) = self.component(index, entry)?;
+            components.push(component);
+            references.push(reference);
+        }
+        Ok((components, references))
     }
 
     fn component(

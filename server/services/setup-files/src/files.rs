@@ -259,6 +259,23 @@ pub(crate) fn names(files: &Files) -> String {
 /// # Errors
 /// If a file cannot be read, or the set-up file cannot be parsed far enough to know the files that it names.
 pub fn read_folder(path: &Path, limits: &Limits) -> Result<(Files, String), SetupFileError> {
+    read_named(path, limits, |_| true)
+}
+
+/// As [`read_folder`], without the mesh: for a folder that waits for one.
+///
+/// # Errors
+/// As `read_folder`.
+pub fn read_geometry_folder(path: &Path, limits: &Limits) -> Result<(Files, String), SetupFileError> {
+    read_named(path, limits, |field| field != "mesh.file")
+}
+
+/// Reads the set-up file and the files that it names in fields for which `wanted` holds.
+fn read_named(
+    path: &Path,
+    limits: &Limits,
+    wanted: impl Fn(&str) -> bool,
+) -> Result<(Files, String), SetupFileError> {
     let io = |path: &Path| {
         let path = path.display().to_string();
         move |source| SetupFileError::Io { path, source }
@@ -295,7 +312,7 @@ pub fn read_folder(path: &Path, limits: &Limits) -> Result<(Files, String), Setu
     let given = collector.files.keys().next().filter(|_| !metadata.is_dir()).cloned();
     let setup_file = find_setup_file(&collector.files, given.as_deref())?;
     let document = parse_setup(&setup_file, &collector.files[&setup_file])?;
-    for (field, name) in references(&document) {
+    for (field, name) in references(&document).into_iter().filter(|(field, _)| wanted(field)) {
         let name = clean_path(&field, &name)?;
         if !collector.files.contains_key(&name) {
             read(&mut collector, folder, &name)?;

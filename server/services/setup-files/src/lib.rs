@@ -20,10 +20,10 @@ mod parse;
 mod report;
 mod schema;
 
-pub use convert::{SetupContent, check_parameterisation, read_setup};
+pub use convert::{GeometryContent, SetupContent, check_parameterisation, read_geometry, read_setup};
 pub use derived::{BUILD, decode_derived, encode_derived};
 pub use error::SetupFileError;
-pub use files::{ArchiveKind, Files, Limits, read_folder, unpack};
+pub use files::{ArchiveKind, Files, Limits, read_folder, read_geometry_folder, unpack};
 pub use options::{OptionsDocument, SeamDocument, SmoothingDocument};
 pub use report::{quality_json, report_json};
 pub use schema::{geometry_schema, setup_schema};
