@@ -20,6 +20,7 @@ mod output;
 pub mod panel;
 #[cfg(feature = "plot")]
 mod plot;
+pub mod quotas;
 pub mod serve;
 mod setup;
 pub mod shell;

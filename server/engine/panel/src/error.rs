@@ -248,6 +248,15 @@ pub enum PanelError {
         /// The tolerance.
         tolerance: f64,
     },
+    /// Results beyond the range of double precision.
+    #[error(
+        "{what} would be infinite or not a number; reference values, directions or seeds are too large or too \
+         small (products are linear in them, so scale them), or nothing depends on the angle of attack"
+    )]
+    Overflow {
+        /// The part of the result.
+        what: &'static str,
+    },
     /// The monitor has cancelled the computation.
     #[error("cancelled")]
     Cancelled,
@@ -264,6 +273,7 @@ impl Failure for PanelError {
             | Self::Gradient { .. }
             | Self::Singular { .. }
             | Self::NotConverged { .. }
+            | Self::Overflow { .. }
             | Self::Doubtful(_) => Class::Computation,
             Self::Memory { .. } => Class::Memory,
             Self::Cancelled => Class::Cancelled,
@@ -274,7 +284,7 @@ impl Failure for PanelError {
     fn field(&self) -> Option<String> {
         Some(match self {
             Self::Mesh(error) => return error.field(),
-            Self::Memory { .. } | Self::Cancelled => return None,
+            Self::Memory { .. } | Self::Overflow { .. } | Self::Cancelled => return None,
             Self::UnknownGroup { field, .. } => format!("options.{field}"),
             Self::OutOfRange { field, .. } | Self::Length { field, .. } => field.clone(),
             Self::Open { cell, .. } | Self::Inwards { cell, .. } => format!("cells[{cell}]"),

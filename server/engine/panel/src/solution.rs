@@ -6,7 +6,7 @@ use moldline_mesh::Vector3;
 
 use crate::{
     Flow, Monitor, NearPass, OnDoubt, PanelError, PanelSetup, Scalars, Stage, Warning,
-    bounds::within,
+    bounds::{results, within},
     coefficients,
     distributions::{self, Distributions, form},
     doubt::{self, Evidence},
@@ -165,14 +165,15 @@ impl Solution {
     ///
     /// # Errors
     /// [`PanelError::OutOfRange`] for a flow that is not finite or reference values that are not positive,
-    /// [`PanelError::Sideslip`] over a half, [`PanelError::Doubtful`] for an answer that contradicts itself, unless the options ask for
-    /// warnings only.
+    /// [`PanelError::Sideslip`] over a half, [`PanelError::Overflow`], [`PanelError::Doubtful`] for an answer that contradicts itself, unless
+    /// the options ask for warnings only.
     pub fn analyse(&self, flow: &Flow) -> Result<Analysis, PanelError> {
         self.check_flow(flow)?;
         let analysis = match &self.state {
             AnyState::Symmetric(state) => self.analysis(state, flow),
             AnyState::Full(state) => self.analysis(state, flow),
         };
+        analysis.check()?;
         let refused: Vec<Warning> =
             analysis.warnings.iter().filter(|w| doubt::is_refused(w)).cloned().collect();
         if self.setup.options.on_doubt == OnDoubt::Refuse && !refused.is_empty() {
@@ -265,6 +266,19 @@ impl Solution {
 fn real_area<const B: usize>(state: &State<B>, panel: usize) -> Vector3 {
     let (a, beta) = (&state.surface.areas[panel], state.surface.beta);
     Vector3::new(a.x, beta * a.y, beta * a.z)
+}
+
+impl Analysis {
+    /// Nothing that is not finite leaves.
+    fn check(&self) -> Result<(), PanelError> {
+        let Self { scalars, wake_lift, disagreement, total, components, sections, cp, vertex_cp, .. } = self;
+        results("coefficients", scalars.to_array().into_iter().chain([*wake_lift, *disagreement]))?;
+        let of = |loads: &Loads| loads.force.into_iter().chain(loads.moment).chain([loads.lift, loads.drag]);
+        results("loads", components.iter().chain([total]).flat_map(of))?;
+        let of = |section: &Section| section.middle.into_iter().chain(section.span).chain([section.load]);
+        results("sections", sections.iter().flat_map(of))?;
+        results("cp", cp.iter().chain(vertex_cp).copied())
+    }
 }
 
 /// Pressure coefficient at which the local flow is sonic (isentropic, ratio of heats 1.4); none at Mach zero.

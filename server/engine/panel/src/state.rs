@@ -186,7 +186,14 @@ impl<const B: usize> State<B> {
         let count = columns.len();
         let right: Vec<Vec<f64>> =
             columns.into_iter().flatten().map(|b| b.into_iter().map(|x| -x).collect()).collect();
-        let solved = self.system.solve(&right, transposed, setup.options.tolerance, monitor)?;
+        let solved = self.system.solve(&right, transposed, setup.options.tolerance, monitor);
+        let solved = solved.map_err(|error| match error {
+            // The system has been solved for the flow itself, so that it is the right-hand side that is too large.
+            PanelError::NotConverged { residual, .. } if !residual.is_finite() => {
+                PanelError::Overflow { what: "a product" }
+            }
+            error => error,
+        })?;
         let mut columns = solved.columns.into_iter();
         Ok((0..count).map(|_| std::array::from_fn(|_| columns.next().unwrap_or_default())).collect())
     }
