@@ -5,7 +5,7 @@ use std::sync::Arc;
 use blake3::Hasher;
 use moldline_host::{Claim, ServiceError};
 use moldline_mesh::{Cell, Group, SurfaceMesh};
-use moldline_panel::{Options, PanelError, PanelSetup, SetupSummary, Symmetry, TrailingEdges};
+use moldline_panel::{OnDoubt, Options, PanelError, PanelSetup, SetupSummary, Symmetry, TrailingEdges};
 
 use crate::merging::Merging;
 
@@ -65,7 +65,7 @@ impl Definition {
                 indices(&mut hasher, &group.indices);
             }
         }
-        let Options { symmetry, trailing_edges, components, solver, tolerance, memory_limit: _ } =
+        let Options { symmetry, trailing_edges, components, solver, tolerance, on_doubt, memory_limit: _ } =
             &self.options;
         name(&mut hasher, word(*symmetry));
         match trailing_edges {
@@ -93,6 +93,9 @@ impl Definition {
         }
         name(&mut hasher, &format!("{solver:?}"));
         hasher.update(&tolerance.to_le_bytes());
+        if *on_doubt == OnDoubt::Warn {
+            name(&mut hasher, "warn");
+        }
         if let Some(distance) = self.merge_tolerance {
             name(&mut hasher, "merge");
             hasher.update(&distance.to_le_bytes());
