@@ -3,11 +3,12 @@
 use moldline_mesh::SurfaceMesh;
 
 use crate::{
-    Options, PanelError, Solver,
+    Monitor, NoMonitor, Options, PanelError, Solver, Stage,
     bounds::within,
     influence::Layout,
     nodes::Nodes,
     panels::Panels,
+    progress::poll,
     trefftz::Trace,
     wake::{Beside, Wakes},
 };
@@ -57,6 +58,18 @@ impl PanelSetup {
     /// # Errors
     /// [`PanelError`] for meshes that are open, not oriented, without trailing edges, too large for the memory allowed, ...
     pub fn new(mesh: &SurfaceMesh, options: Options) -> Result<Self, PanelError> {
+        Self::monitored(mesh, options, &NoMonitor)
+    }
+
+    /// As [`new`](Self::new), and ends early if `monitor` says so.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new); [`PanelError::Cancelled`].
+    pub fn monitored(
+        mesh: &SurfaceMesh,
+        options: Options,
+        monitor: &dyn Monitor<Stage>,
+    ) -> Result<Self, PanelError> {
         within("options.tolerance", options.tolerance, 1e-14, 1e-4)?;
         let panels = Panels::new(mesh, options.symmetry)?;
         // Trailing edges add an unknown for each of their vertices.
@@ -69,9 +82,11 @@ impl PanelSetup {
                 advice: "send a coarser mesh, one half of a symmetric one, or raise the limit",
             });
         }
-        let wakes = Wakes::new(mesh, &panels, &options.trailing_edges)?;
+        let wakes = Wakes::new(mesh, &panels, &options.trailing_edges, monitor)?;
+        poll(monitor)?;
         let layout =
             Layout::new(&panels, &wakes, Nodes::new(&panels, &wakes)?, &panels.gather(&mesh.vertices));
+        poll(monitor)?;
         let trace = Trace::new(&panels, &wakes);
         let components = components(mesh, &panels, &options)?;
         let vertex_cells = moldline_mesh::Topology::new(mesh).vertex_cells;

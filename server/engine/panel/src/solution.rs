@@ -126,7 +126,7 @@ impl Solution {
         }
         setup.panels.check_symmetry(vertices)?;
         let points = setup.panels.gather(vertices);
-        setup.wakes.check(&setup.panels, &points)?;
+        setup.wakes.check(&setup.panels, &points, monitor)?;
         let state = if setup.panels.symmetric {
             AnyState::Symmetric(Box::new(State::new(&setup, &points, mach, monitor)?))
         } else {

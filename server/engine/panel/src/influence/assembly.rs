@@ -113,8 +113,10 @@ impl Influence<'_> {
                     if progress.cancelled() {
                         return (Vec::new(), Vec::new());
                     }
-                    let block = self.block(targets, &lanes);
-                    progress.step();
+                    let block = self.block(targets, &lanes, &progress);
+                    if !progress.cancelled() {
+                        progress.step();
+                    }
                     block
                 })
                 .collect();
@@ -144,8 +146,8 @@ impl Influence<'_> {
         layout.patches.iter().map(elements).chain(lines.chunks(4 * PATCH).map(<[usize]>::to_vec)).collect()
     }
 
-    /// The rows that a group of targets adds to.
-    fn block(&self, targets: &[usize], lanes: &[Lanes]) -> (Vec<u32>, Vec<f64>) {
+    /// The rows that a group of targets adds to; nothing once it is cancelled.
+    fn block(&self, targets: &[usize], lanes: &[Lanes], progress: &Progress<'_>) -> (Vec<u32>, Vec<f64>) {
         let n = self.layout.nodes.rows();
         let targets: Vec<Target> = targets.iter().map(|t| Target::new(self, *t)).collect();
         let mut rows: Vec<u32> = targets.iter().flat_map(|t| t.rows.iter().map(|(row, _)| *row)).collect();
@@ -160,6 +162,9 @@ impl Influence<'_> {
             part.clear();
             part.resize(rows.len() * columns, 0.0);
             for target in &targets {
+                if progress.cancelled() {
+                    return (Vec::new(), Vec::new());
+                }
                 sums.clear();
                 sums.resize(3 * columns, 0.0);
                 self.potential(target, lanes, columns, &mut sums);

@@ -191,13 +191,13 @@ impl Influence<'_> {
         let parts: Vec<Vec<(u32, Vec<[f64; B]>)>> = groups
             .par_iter()
             .map(|group| {
-                if progress.cancelled() {
-                    return Vec::new();
+                let mut rows = Vec::new();
+                for target in group {
+                    if progress.cancelled() {
+                        return Vec::new();
+                    }
+                    rows.extend(self.target_jvp(*target, charges, changes, &moved));
                 }
-                let rows = group
-                    .iter()
-                    .flat_map(|target| self.target_jvp(*target, charges, changes, &moved))
-                    .collect();
                 progress.step();
                 rows
             })

@@ -185,12 +185,13 @@ impl Influence<'_> {
                 .par_iter()
                 .map(|group| {
                     let mut gathered: Vec<Gathered<B>> = seeds.iter().map(|_| Gathered::new(self)).collect();
-                    if !progress.cancelled() {
-                        group
-                            .iter()
-                            .for_each(|target| self.target_vjp(*target, charges, seeds, &mut gathered));
-                        progress.step();
+                    for target in group {
+                        if progress.cancelled() {
+                            return gathered;
+                        }
+                        self.target_vjp(*target, charges, seeds, &mut gathered);
                     }
+                    progress.step();
                     gathered
                 })
                 .collect();

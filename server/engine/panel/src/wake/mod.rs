@@ -20,7 +20,7 @@ use moldline_mesh::{SurfaceMesh, Vector3};
 pub(crate) use sheets::{SheetTriangle, Sheets};
 pub(crate) use strips::{Beside, Strip};
 
-use crate::{PanelError, TrailingEdges, panels::Panels};
+use crate::{Monitor, PanelError, Stage, TrailingEdges, panels::Panels, progress::poll};
 
 /// All wakes.
 #[derive(Clone, Debug, Default)]
@@ -34,7 +34,12 @@ pub(crate) struct Wakes {
 
 impl Wakes {
     /// Finds trailing edges, strips and paths at the positions of the mesh.
-    pub fn new(mesh: &SurfaceMesh, panels: &Panels, rule: &TrailingEdges) -> Result<Self, PanelError> {
+    pub fn new(
+        mesh: &SurfaceMesh,
+        panels: &Panels,
+        rule: &TrailingEdges,
+        monitor: &dyn Monitor<Stage>,
+    ) -> Result<Self, PanelError> {
         let points = panels.gather(&mesh.vertices);
         let edges = edges::find(mesh, panels, &points, rule)?;
         let mut trailing = vec![false; panels.edges.len()];
@@ -42,6 +47,7 @@ impl Wakes {
         let mut strips = strips::along_lines(panels, &points, &edges)?;
         let mut paths = Vec::with_capacity(strips.len());
         for strip in &mut strips {
+            poll(monitor)?;
             let of_strip = paths::over_bodies(panels, &points, &trailing, strip)?;
             if of_strip.iter().all(Option::is_some) {
                 return Err(PanelError::NoCarryOver { vertex: panels.vertex_of[strip.a as usize] });
@@ -55,8 +61,14 @@ impl Wakes {
     ///
     /// # Errors
     /// [`PanelError::WakeCutsBody`] for the first crossing.
-    pub fn check(&self, panels: &Panels, points: &[Vector3]) -> Result<(), PanelError> {
+    pub fn check(
+        &self,
+        panels: &Panels,
+        points: &[Vector3],
+        monitor: &dyn Monitor<Stage>,
+    ) -> Result<(), PanelError> {
         for (strip, paths) in self.strips.iter().zip(&self.paths) {
+            poll(monitor)?;
             crossing::check(panels, points, strip, &sheets::rest(strip, paths))?;
         }
         Ok(())
