@@ -119,7 +119,7 @@ impl PanelSetup {
 
 /// Bytes that a solution needs at its peak: matrix and factors, blocks of the assembly, and what adjoints gather from the pairs.
 fn memory(unknowns: usize, panels: usize, solver: Solver) -> u64 {
-    solver.bytes(unknowns) + 8 * (unknowns as u64 * 1000 + panels as u64 * 400)
+    solver.bytes(unknowns) + 8 * (unknowns as u64 * 1000 + panels as u64 * 2400)
 }
 
 /// An estimate of the bytes that a solution of so many unknowns needs at its peak.

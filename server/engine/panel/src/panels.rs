@@ -167,6 +167,11 @@ impl Panels {
         if self.is_triangle(panel) { [1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0, 0.0] } else { [0.25; 4] }
     }
 
+    /// Number of a panel's sides.
+    pub fn sides(&self, panel: usize) -> usize {
+        if self.is_triangle(panel) { 3 } else { 4 }
+    }
+
     pub fn is_triangle(&self, panel: usize) -> bool {
         self.corners[panel][2] == self.corners[panel][3]
     }
