@@ -99,11 +99,14 @@ impl<T: RealField + Send + Sync> Factor<T> {
     }
 }
 
+/// A solution by a triangle, in place.
+type Step<'a, T> = &'a (dyn Fn(MatMut<'_, T>) + Sync);
+
 /// Two solutions by triangles, one after the other for every few columns, which are independent.
 fn in_steps<T: RealField + Send + Sync>(
     right: &mut Mat<T>,
     monitor: &dyn Monitor<Stage>,
-    steps: [&(dyn Fn(MatMut<'_, T>) + Sync); 2],
+    steps: [Step<'_, T>; 2],
 ) {
     right.as_mut().par_col_chunks_mut(RIGHT).for_each(|mut chunk| {
         for step in steps {
