@@ -3,12 +3,13 @@
 use moldline_mesh::{SurfaceMesh, Vector3};
 
 use crate::{
-    EdgeLine, LeftOut, Options, PanelError, Solver, TrailingEdges, Warning,
+    EdgeLine, LeftOut, Monitor, NoMonitor, Options, PanelError, Solver, Stage, TrailingEdges, Warning,
     bounds::within,
     doubt,
     influence::Layout,
     nodes::Nodes,
     panels::Panels,
+    progress::poll,
     thin,
     trefftz::Trace,
     wake::{Beside, Wakes},
@@ -70,6 +71,18 @@ impl PanelSetup {
     /// # Errors
     /// [`PanelError`] for meshes that are open, not oriented, without trailing edges, too large for the memory allowed, ...
     pub fn new(mesh: &SurfaceMesh, options: Options) -> Result<Self, PanelError> {
+        Self::monitored(mesh, options, &NoMonitor)
+    }
+
+    /// As [`new`](Self::new), and ends early if `monitor` says so.
+    ///
+    /// # Errors
+    /// As [`new`](Self::new); [`PanelError::Cancelled`].
+    pub fn monitored(
+        mesh: &SurfaceMesh,
+        options: Options,
+        monitor: &dyn Monitor<Stage>,
+    ) -> Result<Self, PanelError> {
         within("options.tolerance", options.tolerance, 1e-14, 1e-4)?;
         let panels = Panels::new(mesh, options.symmetry)?;
         // Trailing edges add an unknown for each of their vertices.
@@ -83,8 +96,10 @@ impl PanelSetup {
             });
         }
         let points = panels.gather(&mesh.vertices);
-        let wakes = Wakes::new(mesh, &panels, &options.trailing_edges)?;
+        let wakes = Wakes::new(mesh, &panels, &options.trailing_edges, monitor)?;
+        poll(monitor)?;
         let layout = Layout::new(&panels, &wakes, Nodes::new(&panels, &wakes)?, &points);
+        poll(monitor)?;
         let trace = Trace::new(&panels, &wakes);
         let components = components(mesh, &panels, &options)?;
         let vertex_cells = moldline_mesh::Topology::new(mesh).vertex_cells;

@@ -130,7 +130,7 @@ impl Solution {
         }
         setup.panels.check_symmetry(vertices)?;
         let points = setup.panels.gather(vertices);
-        let near_passes = setup.wakes.check(&setup.panels, &points)?;
+        let near_passes = setup.wakes.check(&setup.panels, &points, monitor)?;
         let state = if setup.panels.symmetric {
             AnyState::Symmetric(Box::new(State::new(&setup, &points, mach, monitor)?))
         } else {

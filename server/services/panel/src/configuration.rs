@@ -5,7 +5,9 @@ use std::sync::Arc;
 use blake3::Hasher;
 use moldline_host::{Claim, ServiceError};
 use moldline_mesh::{Cell, Group, SurfaceMesh};
-use moldline_panel::{OnDoubt, Options, PanelError, PanelSetup, SetupSummary, Symmetry, TrailingEdges};
+use moldline_panel::{
+    Monitor, OnDoubt, Options, PanelError, PanelSetup, SetupSummary, Stage, Symmetry, TrailingEdges,
+};
 
 use crate::merging::Merging;
 
@@ -122,6 +124,7 @@ impl Definition {
         limits: &moldline_mesh::Limits,
         memory_limit: u64,
         claim: Claim,
+        monitor: &dyn Monitor<Stage>,
     ) -> Result<Configuration, ServiceError> {
         let Self { cells, vertices, cell_groups, vertex_groups, mut options, merge_tolerance } = self;
         options.memory_limit = memory_limit;
@@ -130,11 +133,12 @@ impl Definition {
         let cells = mesh.cells.len();
         let vertices = Arc::new(mesh.vertices.clone());
         let (setup, merging) = match merge_tolerance {
-            None => (PanelSetup::new(&mesh, options)?, None),
+            None => (PanelSetup::monitored(&mesh, options, monitor)?, None),
             Some(tolerance) => {
                 let (merging, mesh) = Merging::new(mesh, tolerance)?;
                 options.trailing_edges = merging.trailing_edges(options.trailing_edges);
-                let setup = PanelSetup::new(&mesh, options).map_err(|error| merging.explain(error))?;
+                let setup =
+                    PanelSetup::monitored(&mesh, options, monitor).map_err(|error| merging.explain(error))?;
                 (setup, Some(merging))
             }
         };

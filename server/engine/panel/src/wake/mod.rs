@@ -26,7 +26,7 @@ pub(crate) use sheets::{SheetTriangle, Sheets};
 pub(crate) use sight::Sight;
 pub(crate) use strips::{Beside, Strip};
 
-use crate::{PanelError, TrailingEdges, panels::Panels};
+use crate::{Monitor, PanelError, Stage, TrailingEdges, panels::Panels, progress::poll};
 
 /// All wakes.
 #[derive(Clone, Debug, Default)]
@@ -42,7 +42,12 @@ pub(crate) struct Wakes {
 
 impl Wakes {
     /// Finds trailing edges, strips and paths at the positions of the mesh.
-    pub fn new(mesh: &SurfaceMesh, panels: &Panels, rule: &TrailingEdges) -> Result<Self, PanelError> {
+    pub fn new(
+        mesh: &SurfaceMesh,
+        panels: &Panels,
+        rule: &TrailingEdges,
+        monitor: &dyn Monitor<Stage>,
+    ) -> Result<Self, PanelError> {
         let points = panels.gather(&mesh.vertices);
         let edges::Found { edges, left_out } = edges::find(mesh, panels, &points, rule)?;
         let mut trailing = vec![false; panels.edges.len()];
@@ -50,6 +55,7 @@ impl Wakes {
         let mut strips = strips::along_lines(panels, &points, &edges)?;
         let mut paths = Vec::with_capacity(strips.len());
         for strip in &mut strips {
+            poll(monitor)?;
             let of_strip = paths::over_bodies(panels, &points, &trailing, strip)?;
             if of_strip.iter().all(Option::is_some) {
                 return Err(PanelError::NoCarryOver { vertex: panels.vertex_of[strip.a as usize] });
@@ -70,13 +76,19 @@ impl Wakes {
     ///
     /// # Errors
     /// [`PanelError::WakeCutsBody`] for the first crossing.
-    pub fn check(&self, panels: &Panels, points: &[Vector3]) -> Result<Vec<NearPass>, PanelError> {
+    pub fn check(
+        &self,
+        panels: &Panels,
+        points: &[Vector3],
+        monitor: &dyn Monitor<Stage>,
+    ) -> Result<Vec<NearPass>, PanelError> {
         let mut on_edge = vec![false; points.len()];
         self.strips.iter().flat_map(|s| [s.a, s.b]).for_each(|point| on_edge[point as usize] = true);
         let strips: Vec<_> = self.strips.iter().zip(&self.paths).collect();
         let checked: Vec<_> = strips
             .into_par_iter()
             .map(|(strip, paths)| {
+                poll(monitor)?;
                 crossing::check(panels, points, &on_edge, strip, &sheets::rest(strip, paths))
             })
             .collect();
