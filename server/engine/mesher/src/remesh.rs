@@ -45,6 +45,19 @@ impl Surface<'_> {
         area.dot(&self.normal(vertices, t)) > FACING * area.norm()
     }
 
+    /// How bad triangles are: how many of them are turned, and the largest aspect ratio divided by the cosine between triangle
+    /// and surface, so that at thin leading edges triangles follow the surface.
+    fn badness(&self, triangles: impl Iterator<Item = ([u32; 3], u32)>) -> (usize, f64) {
+        triangles.fold((0, 0.0), |(turned, worst), (vertices, t)| {
+            let area = self.area(vertices);
+            let cosine = area.dot(&self.normal(vertices, t)) / area.norm();
+            // Also if it is not a number.
+            let faces_out = cosine > FACING;
+            let cosine = if faces_out { cosine } else { FACING };
+            (turned + usize::from(!faces_out), f64::max(worst, self.aspect(vertices) / cosine))
+        })
+    }
+
     /// How many of the triangles do not face outwards. Putting the union's thin triangles onto the splines can turn some;
     /// no operation makes them more.
     fn turned(&self, triangles: impl Iterator<Item = ([u32; 3], u32)>) -> usize {
@@ -265,12 +278,10 @@ impl Surface<'_> {
                 // `old_s` with one end replaced by the far vertex keeps its orientation.
                 let new_s = old_s.map(|v| if v == b { d } else { v });
                 let new_t = old_t.map(|v| if v == a { c } else { v });
-                let before = self.aspect(old_s).max(self.aspect(old_t));
-                let after = self.aspect(new_s).max(self.aspect(new_t));
-                let turned = self.turned([(new_s, s), (new_t, t)].into_iter());
-                let turned_before = self.turned([(old_s, s), (old_t, t)].into_iter());
-                let improves = turned < turned_before || (turned == turned_before && after < 0.999 * before);
-                if !improves || after > 100.0 {
+                let before = self.badness([(old_s, s), (old_t, t)].into_iter());
+                let after = self.badness([(new_s, s), (new_t, t)].into_iter());
+                let improves = after.0 < before.0 || (after.0 == before.0 && after.1 < 0.999 * before.1);
+                if !improves || after.1 > 100.0 {
                     continue;
                 }
                 self.triangles[s as usize] = new_s;
@@ -343,14 +354,13 @@ impl Surface<'_> {
         if !hold.keeps_sheets_of(&self.holds[v as usize], self.bodies) {
             return false;
         }
-        let worst = |s: &Self| {
-            s.around[v as usize].iter().map(|&t| s.aspect(s.triangles[t as usize])).fold(0.0, f64::max)
-        };
-        let (before, turned) = (worst(self), self.turned_around(v));
+        let badness =
+            |s: &Self| s.badness(s.around[v as usize].iter().map(|&t| (s.triangles[t as usize], t)));
+        let before = badness(self);
         let old_hold = std::mem::replace(&mut self.holds[v as usize], hold);
         self.positions[v as usize] = x;
-        let turned_after = self.turned_around(v);
-        let good = turned_after < turned || (turned_after == turned && worst(self) <= before.max(accepted));
+        let after = badness(self);
+        let good = after.0 < before.0 || (after.0 == before.0 && after.1 <= before.1.max(accepted));
         if !good {
             self.positions[v as usize] = old;
             self.holds[v as usize] = old_hold;
@@ -373,7 +383,12 @@ impl Surface<'_> {
                 }
                 let mut edges = [(a, b), (b, a), (b, c), (c, b), (c, a), (a, c)];
                 edges.sort_by(|x, y| self.length(x.0, x.1).total_cmp(&self.length(y.0, y.1)));
-                edges.iter().any(|&(a, b)| self.collapse(a, b, Purpose::Repair));
+                let collapsed = edges.iter().any(|&(a, b)| self.collapse(a, b, Purpose::Repair));
+                if !collapsed && !self.faces_out([a, b, c], t) {
+                    // Where the surface bends more than the triangle can follow, smaller ones do.
+                    let (a, b) = edges[5];
+                    self.split(a, b);
+                }
             }
             self.flip();
             self.polish(above);
