@@ -1,16 +1,12 @@
 //! `moldline panel analyze`: the panel method on a local mesh, without a server: the same input, the same bits.
 
-use std::{
-    fs, io,
-    num::NonZeroUsize,
-    path::{Path, PathBuf},
-};
+use std::{num::NonZeroUsize, path::PathBuf};
 
 use clap::Args;
 use moldline_host::{Cancellation, ServiceError};
 use moldline_mesh::{
-    LeftOut, Limits, SurfaceMesh,
-    io::{Format, Imported, vtu},
+    LeftOut, SurfaceMesh,
+    io::{Imported, vtu},
 };
 use moldline_mesh_service::explained;
 use moldline_panel::{
@@ -24,6 +20,7 @@ use super::choices::{ON_DOUBT, SOLVERS, SYMMETRIES, words};
 use crate::{
     bar::Bar,
     failure::Failure,
+    local,
     output::{say, write},
     values,
 };
@@ -102,7 +99,7 @@ fn point(text: &str) -> Result<[f64; 3], String> {
 
 /// `moldline panel analyze`
 pub fn run(options: &AnalyzeOptions) -> Result<(), Failure> {
-    let Imported { mesh, origin } = read(&options.mesh, options.merge_tolerance)?;
+    let Imported { mesh, origin } = local::mesh_file(&options.mesh, options.merge_tolerance)?;
     tell_left_out(origin.left_out)?;
     let explain = |error: PanelError| with_way_out(explained(&origin, error.clone()), &error);
     let explained_text = |warning: &Warning| origin.explain(&warning.to_string());
@@ -189,17 +186,6 @@ fn choices(options: &AnalyzeOptions) -> Options {
         memory_limit: options.memory.saturating_mul(1 << 20),
         ..Options::default()
     }
-}
-
-fn read(path: &Path, tolerance: f64) -> Result<Imported, Failure> {
-    let failed = |error: io::Error| Failure::File { path: path.to_owned(), error };
-    let format = Format::of_name(&path.to_string_lossy());
-    let unknown = || failed(io::Error::other(format!("is not a {} file", Format::ENDINGS)));
-    let format = format.ok_or_else(unknown)?;
-    let bytes = fs::read(path).map_err(failed)?;
-    format
-        .read(&bytes, tolerance, &Limits::default())
-        .map_err(|error| failed(io::Error::other(error.to_string())))
 }
 
 /// What of the file is not in the mesh.
