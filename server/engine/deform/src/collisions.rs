@@ -36,7 +36,7 @@ impl Collisions {
         };
         let half = half.map(|(plane, tolerance)| {
             let sum: f64 = mesh.vertices.iter().map(|x| plane.signed_distance(x)).sum();
-            (plane.clone(), tolerance, sum.signum())
+            (*plane, tolerance, sum.signum())
         });
         Self { on_event, search, known, half, mesh: mesh.clone(), ownership: ownership.clone() }
     }

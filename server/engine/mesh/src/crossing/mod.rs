@@ -105,7 +105,7 @@ impl Crossings {
         let mut steps = 0_u32;
         while let Some((one, two)) = stack.pop() {
             steps = steps.wrapping_add(1);
-            if steps % 4096 == 0 && cancelled() {
+            if steps.is_multiple_of(4096) && cancelled() {
                 return None;
             }
             let (a, b) = (&self.nodes[one as usize], &self.nodes[two as usize]);
