@@ -140,9 +140,7 @@ def warnings(messages: Iterable[wire.PanelWarning]) -> tuple[Warning, ...]:
 
 def left_out(message: wire.LineLeftOut) -> LineLeftOut:
     """A line of edges that is no trailing edge."""
-    return LineLeftOut(
-        arrays.from_wire(message.vertices), message.length, message.width, message.turn, message.reason
-    )
+    return LineLeftOut(arrays.from_wire(message.vertices), message.length, message.width, message.turn, message.reason)
 
 
 def _loads(message: wire.Loads) -> Loads:
