@@ -10,6 +10,8 @@ mod check;
 pub mod cli;
 mod convert;
 mod deform;
+#[cfg(feature = "plot")]
+mod draw;
 mod failure;
 mod grpc;
 mod http;
@@ -20,6 +22,8 @@ mod mesh;
 mod output;
 mod page;
 pub mod panel;
+#[cfg(feature = "plot")]
+mod picture;
 #[cfg(feature = "plot")]
 mod plot;
 pub mod quotas;
@@ -50,6 +54,8 @@ pub fn run(command: Command) -> Result<(), Failure> {
         Command::Status(options) => Ok(status::run(&options)?),
         Command::Token(options) => Ok(token::run(&options)?),
         Command::Deform(options) => deform::run(&options),
+        #[cfg(feature = "plot")]
+        Command::Plot(options) => draw::run(&options),
         Command::Import(options) => import::run(&options),
         Command::Mesh(options) => mesh::run(&options),
         Command::Setup(options) => setup::report(&options),

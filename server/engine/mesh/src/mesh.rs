@@ -152,11 +152,13 @@ pub enum MeshError {
     },
     /// The name of a group is too long.
     #[error(
-        "the name of a {kind} group has {length} bytes, more than the limit of {limit}; it begins with `{start}`"
+        "{kind}_groups[{index}].name has {length} bytes, more than the limit of {limit}; it begins with `{start}`"
     )]
     LongName {
         /// `cell` or `vertex`.
         kind: &'static str,
+        /// Which group.
+        index: usize,
         /// Its first characters.
         start: String,
         /// Its length, bytes.
@@ -196,9 +198,10 @@ impl Failure for MeshError {
             Self::VertexOutOfRange { cell, corner, .. } => format!("cells[{cell}][{corner}]"),
             Self::RepeatedVertex { cell, .. } => format!("cells[{cell}]"),
             Self::UnusedVertices { first, .. } => format!("vertices[{first}]"),
-            Self::GroupIndexOutOfRange { kind, .. }
-            | Self::DuplicateGroup { kind, .. }
-            | Self::LongName { kind, .. } => format!("{kind}_groups"),
+            Self::GroupIndexOutOfRange { kind, .. } | Self::DuplicateGroup { kind, .. } => {
+                format!("{kind}_groups")
+            }
+            Self::LongName { kind, index, .. } => format!("{kind}_groups[{index}].name"),
         })
     }
 }
@@ -333,11 +336,11 @@ fn check_groups(
         return Err(MeshError::TooMany { what, count: groups.len(), limit });
     }
     let mut names = std::collections::HashSet::new();
-    for group in groups {
+    for (index, group) in groups.iter().enumerate() {
         let (length, limit) = (group.name.len(), limits.name);
         if length > limit {
             let start = group.name.chars().take(32).collect();
-            return Err(MeshError::LongName { kind, start, length, limit });
+            return Err(MeshError::LongName { kind, index, start, length, limit });
         }
         if !names.insert(group.name.as_str()) {
             return Err(MeshError::DuplicateGroup { kind, group: group.name.clone() });

@@ -136,9 +136,9 @@ pub fn generate(
         go_on(monitor)?;
         monitor.progress(Stage::Remeshing, (pass + 1) as f64 / (PASSES + 1) as f64);
     }
-    for _ in 0..3 {
-        surface.polish(1.8);
-    }
+    surface.polish(1.8);
+    surface.repair(4.0);
+    surface.polish(1.8);
     finish(&surface, symmetric)
 }
 

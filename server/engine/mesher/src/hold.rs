@@ -10,6 +10,8 @@ const MAX_STEPS: usize = 50;
 const TOLERANCE: f64 = 2e-14;
 /// Directions whose eigenvalue is below this are free: angles of crossing below 1e-4.
 const RANK: f64 = 1e-9;
+/// Least cosine between normals, or between a triangle and the surface under it, that belong to one sheet.
+pub(crate) const FACING: f64 = 0.3;
 
 /// A component that a vertex lies on.
 #[derive(Clone, Copy, Debug)]
@@ -19,6 +21,15 @@ pub(crate) struct On {
     pub edge: Option<u32>,
     /// Where the search starts.
     pub location: Location,
+}
+
+impl On {
+    /// Whether the location is on a sharp edge or at a pole.
+    pub fn is_on_a_crease(&self, body: &Body) -> bool {
+        let component = body.component();
+        let edge = component.edge_of(&self.location, 0.0).map(|edge| &component.edges()[edge as usize]);
+        edge.is_some_and(|edge| edge.sharp || edge.collapsed)
+    }
 }
 
 /// All that a vertex lies on.
@@ -35,6 +46,16 @@ impl Hold {
     /// The location on a component.
     pub fn location(&self, component: u32) -> Option<Location> {
         self.on.iter().find(|on| on.component == component).map(|on| on.location)
+    }
+
+    /// Whether a point found from `from` has stayed on the sheets that `from` lies on: not on a sharp edge or pole that it is
+    /// not held to, and not behind one.
+    pub fn keeps_sheets_of(&self, from: &Self, bodies: &[&Body]) -> bool {
+        self.on.iter().filter(|on| on.edge.is_none()).all(|on| {
+            let body = bodies[on.component as usize];
+            let turned = |l: Location| body.normal(&l).dot(&body.normal(&on.location)) < FACING;
+            !on.is_on_a_crease(body) && !from.location(on.component).is_some_and(turned)
+        })
     }
 
     /// The point of everything that is held nearest to `x`, to first order; `None` if there is none.

@@ -4,7 +4,7 @@
 use moldline_foundation::Vector3;
 
 use crate::{
-    hold::{Hold, On},
+    hold::{FACING, Hold, On},
     surface::{GONE, Kind, Surface},
     tessellation::ordered,
     union::Curve,
@@ -14,10 +14,17 @@ use crate::{
 const LONG: f64 = 4.0 / 3.0;
 /// ... and collapsed below this one.
 const SHORT: f64 = 0.75;
-/// Least cosine between a triangle and the surface under it.
-const FACING: f64 = 0.3;
 /// Rounds of splits or collapses in one pass.
 const ROUNDS: usize = 6;
+
+/// Why an edge is collapsed.
+#[derive(Clone, Copy)]
+enum Purpose {
+    /// It is short.
+    Size,
+    /// A triangle at it is turned or long.
+    Repair,
+}
 
 impl Surface<'_> {
     /// One pass of all operations.
@@ -36,6 +43,19 @@ impl Surface<'_> {
     pub fn faces_out(&self, vertices: [u32; 3], t: u32) -> bool {
         let area = self.area(vertices);
         area.dot(&self.normal(vertices, t)) > FACING * area.norm()
+    }
+
+    /// How bad triangles are: how many of them are turned, and the largest aspect ratio divided by the cosine between triangle
+    /// and surface, so that at thin leading edges triangles follow the surface.
+    fn badness(&self, triangles: impl Iterator<Item = ([u32; 3], u32)>) -> (usize, f64) {
+        triangles.fold((0, 0.0), |(turned, worst), (vertices, t)| {
+            let area = self.area(vertices);
+            let cosine = area.dot(&self.normal(vertices, t)) / area.norm();
+            // Also if it is not a number.
+            let faces_out = cosine > FACING;
+            let cosine = if faces_out { cosine } else { FACING };
+            (turned + usize::from(!faces_out), f64::max(worst, self.aspect(vertices) / cosine))
+        })
     }
 
     /// How many of the triangles do not face outwards. Putting the union's thin triangles onto the splines can turn some;
@@ -83,7 +103,8 @@ impl Surface<'_> {
             let mut done = 0;
             for [a, b] in self.ranked(|r| r < SHORT, false) {
                 if self.length(a, b) < SHORT * self.wanted(a, b) {
-                    done += usize::from(self.collapse(a, b) || self.collapse(b, a));
+                    let order = [(a, b), (b, a)];
+                    done += usize::from(order.iter().any(|&(a, b)| self.collapse(a, b, Purpose::Size)));
                 }
             }
             if done == 0 {
@@ -98,7 +119,10 @@ impl Surface<'_> {
         let Some(&first) = faces.first() else { return false };
         let curve = self.curve(a, b);
         let middle = 0.5 * (self.x(a) + self.x(b));
-        let outwards = faces.iter().map(|&t| self.area(self.triangles[t as usize])).sum::<Vector3>();
+        let outwards = |component: u32| -> Vector3 {
+            let own = faces.iter().filter(|&&t| self.owner[t as usize] == component);
+            own.map(|&t| self.area(self.triangles[t as usize])).sum()
+        };
         let owner = self.owner[first as usize];
         let mut best: Option<(f64, Hold, Vector3)> = None;
         for end in [Some(a), Some(b), None] {
@@ -122,9 +146,11 @@ impl Surface<'_> {
             let mut hold = Hold { on, plane: matches!(curve, Some(Curve::Plane(_))), fixed: false };
             let Some(x) = hold.project(self.bodies, middle) else { continue };
             // The other side of a thin body may be as near.
-            if curve.is_none()
-                && self.bodies[owner as usize].normal(&hold.on[0].location).dot(&outwards) <= 0.0
-            {
+            let astray = hold.on.iter().filter(|on| on.edge.is_none()).any(|on| {
+                let body = self.bodies[on.component as usize];
+                on.is_on_a_crease(body) || body.normal(&on.location).dot(&outwards(on.component)) <= 0.0
+            });
+            if astray {
                 continue;
             }
             let distance = (x - middle).norm();
@@ -164,7 +190,7 @@ impl Surface<'_> {
     }
 
     /// Moves vertex `a` into `b`, if everything stays in order.
-    fn collapse(&mut self, a: u32, b: u32) -> bool {
+    fn collapse(&mut self, a: u32, b: u32, purpose: Purpose) -> bool {
         let curve = self.curve(a, b);
         let allowed = match self.kinds[a as usize] {
             Kind::Surface => true,
@@ -192,17 +218,19 @@ impl Surface<'_> {
                 moved.push((t, new));
             }
         }
-        if worst_after > worst_before.max(3.0) {
-            return false;
-        }
-        let tiny = self.length(a, b) < 0.25 * self.wanted(a, b);
-        for &v in near_a.iter().filter(|&&v| v != b) {
-            if !tiny && self.length(v, b) > LONG * self.wanted(v, b) {
-                return false;
-            }
-        }
+        let before = self.turned_around(a);
         let after = self.turned(moved.iter().map(|&(t, new)| (new, t)));
-        if after > 0 && after >= self.turned_around(a) {
+        let allowed = match purpose {
+            Purpose::Size => {
+                let tiny = self.length(a, b) < 0.25 * self.wanted(a, b);
+                let long = |v: u32| self.length(v, b) > LONG * self.wanted(v, b);
+                worst_after <= worst_before.max(3.0)
+                    && (after == 0 || after < before)
+                    && (tiny || !near_a.iter().any(|&v| v != b && long(v)))
+            }
+            Purpose::Repair => after < before || (after == before && worst_after < worst_before),
+        };
+        if !allowed {
             return false;
         }
         if curve.is_some() {
@@ -250,16 +278,17 @@ impl Surface<'_> {
                 // `old_s` with one end replaced by the far vertex keeps its orientation.
                 let new_s = old_s.map(|v| if v == b { d } else { v });
                 let new_t = old_t.map(|v| if v == a { c } else { v });
-                let before = self.aspect(old_s).max(self.aspect(old_t));
-                let after = self.aspect(new_s).max(self.aspect(new_t));
-                let turned = self.turned([(new_s, s), (new_t, t)].into_iter());
-                let turned_before = self.turned([(old_s, s), (old_t, t)].into_iter());
-                let improves = turned < turned_before || (turned == turned_before && after < 0.999 * before);
-                if !improves || after > 100.0 {
+                let before = self.badness([(old_s, s), (old_t, t)].into_iter());
+                let after = self.badness([(new_s, s), (new_t, t)].into_iter());
+                let improves = after.0 < before.0 || (after.0 == before.0 && after.1 < 0.999 * before.1);
+                if !improves || after.1 > 100.0 {
                     continue;
                 }
                 self.triangles[s as usize] = new_s;
                 self.triangles[t as usize] = new_t;
+                for f in [s, t] {
+                    self.places[f as usize] = self.place(f);
+                }
                 self.around[b as usize].retain(|&f| f != s);
                 self.around[a as usize].retain(|&f| f != t);
                 self.around[d as usize].push(s);
@@ -322,23 +351,16 @@ impl Surface<'_> {
         if (x - target).norm() > (target - old).norm() + 0.5 * self.sizes[v as usize] {
             return false;
         }
-        if let (Kind::Surface, [from], [to]) =
-            (self.kinds[v as usize], &self.holds[v as usize].on[..], &hold.on[..])
-        {
-            // Not over an edge to the other side of a thin body.
-            let body = self.bodies[to.component as usize];
-            if body.normal(&from.location).dot(&body.normal(&to.location)) < FACING {
-                return false;
-            }
+        if !hold.keeps_sheets_of(&self.holds[v as usize], self.bodies) {
+            return false;
         }
-        let worst = |s: &Self| {
-            s.around[v as usize].iter().map(|&t| s.aspect(s.triangles[t as usize])).fold(0.0, f64::max)
-        };
-        let (before, turned) = (worst(self), self.turned_around(v));
+        let badness =
+            |s: &Self| s.badness(s.around[v as usize].iter().map(|&t| (s.triangles[t as usize], t)));
+        let before = badness(self);
         let old_hold = std::mem::replace(&mut self.holds[v as usize], hold);
         self.positions[v as usize] = x;
-        let turned_after = self.turned_around(v);
-        let good = turned_after < turned || (turned_after == turned && worst(self) <= before.max(accepted));
+        let after = badness(self);
+        let good = after.0 < before.0 || (after.0 == before.0 && after.1 <= before.1.max(accepted));
         if !good {
             self.positions[v as usize] = old;
             self.holds[v as usize] = old_hold;
@@ -346,14 +368,45 @@ impl Surface<'_> {
         good
     }
 
+    /// Removes triangles that are turned, or whose aspect ratio is above `above`, by collapses of their edges, flips and moves, whatever
+    /// the sizes.
+    pub fn repair(&mut self, above: f64) {
+        for _ in 0..ROUNDS {
+            let bad: Vec<u32> = (0..self.triangles.len() as u32).filter(|&t| self.is_bad(t, above)).collect();
+            if bad.is_empty() {
+                break;
+            }
+            for t in bad {
+                let [a, b, c] = self.triangles[t as usize];
+                if !self.is_bad(t, above) {
+                    continue;
+                }
+                let mut edges = [(a, b), (b, a), (b, c), (c, b), (c, a), (a, c)];
+                edges.sort_by(|x, y| self.length(x.0, x.1).total_cmp(&self.length(y.0, y.1)));
+                let collapsed = edges.iter().any(|&(a, b)| self.collapse(a, b, Purpose::Repair));
+                if !collapsed && !self.faces_out([a, b, c], t) {
+                    // Where the surface bends more than the triangle can follow, smaller ones do.
+                    let (a, b) = edges[5];
+                    self.split(a, b);
+                }
+            }
+            self.flip();
+            self.polish(above);
+        }
+    }
+
+    fn is_bad(&self, t: u32, above: f64) -> bool {
+        let triangle = self.triangles[t as usize];
+        triangle != GONE && (self.aspect(triangle) >= above || !self.faces_out(triangle, t))
+    }
+
     /// Improves the worst triangles by moves of their vertices towards better shapes.
     pub fn polish(&mut self, above: f64) {
-        for t in 0..self.triangles.len() {
-            let triangle = self.triangles[t];
-            if triangle == GONE || (self.aspect(triangle) < above && self.faces_out(triangle, t as u32)) {
+        for t in 0..self.triangles.len() as u32 {
+            if !self.is_bad(t, above) {
                 continue;
             }
-            for v in triangle {
+            for v in self.triangles[t as usize] {
                 if self.kinds[v as usize] == Kind::Corner {
                     continue;
                 }

@@ -173,6 +173,14 @@ impl<'a> Surface<'a> {
         foot.map_or(sum, |foot| body.normal(&foot.location))
     }
 
+    /// A location near triangle `t`: that of a vertex on no curve, or the one known so far.
+    pub fn place(&self, t: u32) -> Location {
+        let owner = self.owner[t as usize];
+        let mut smooth =
+            self.triangles[t as usize].into_iter().filter(|&v| self.kinds[v as usize] == Kind::Surface);
+        smooth.find_map(|v| self.holds[v as usize].location(owner)).unwrap_or(self.places[t as usize])
+    }
+
     /// The triangles at an edge, in increasing order.
     pub fn at_edge(&self, a: u32, b: u32) -> impl Iterator<Item = u32> + '_ {
         self.around[a as usize].iter().copied().filter(move |&t| self.triangles[t as usize].contains(&b))

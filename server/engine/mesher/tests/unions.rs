@@ -3,9 +3,10 @@
 use std::{collections::BTreeMap, f64::consts::PI};
 
 use moldline_foundation::{NoMonitor, Vector3};
-use moldline_geometry::{Body, Component, Primitive};
+use moldline_geometry::{Body, Component, ComponentOptions, PatchInput, Primitive};
 use moldline_mesh::{Topology, topology::enclosed_volume};
 use moldline_mesher::{Generated, MesherError, Options, generate};
+use moldline_spline::KnotVector;
 
 fn body(name: &str, shape: &Primitive) -> Body {
     let (component, points) = Component::primitive(name.into(), shape).expect("a valid shape");
@@ -145,4 +146,56 @@ fn bad_input_is_refused() {
     };
     assert!(matches!(mesh(&apart, &sizes("c", 1.0)), Err(MesherError::UnknownComponent { .. })));
     assert!(matches!(mesh(&apart, &sizes("a", f64::NAN)), Err(MesherError::Size { .. })));
+}
+
+/// A wing over `|y| <= span` of chord 1 and thickness about `2 h`: round leading edge, sharp trailing edge, and flat caps that
+/// have no length at either.
+fn wing(span: f64, h: f64) -> Body {
+    let quadratic = || KnotVector::clamped_uniform(2, 4).expect("valid");
+    let linear = || KnotVector::clamped_uniform(1, 2).expect("valid");
+    // From the trailing to the leading edge; the last leg is along z, so that the sheets meet smoothly.
+    let section = [(1.0, 0.0), (0.6, 1.2), (0.0, 1.0), (0.0, 0.0)];
+    let patch = |name: &str, along, control_points| PatchInput {
+        name: name.into(),
+        knots_u: quadratic(),
+        knots_v: along,
+        control_points,
+        weights: None,
+    };
+    let sheet = |sign: f64| {
+        let row = |(x, z): (f64, f64)| [-span, span].map(|y| [x, y, sign * h * z]);
+        section.into_iter().flat_map(row).collect()
+    };
+    let cap = |y: f64| section.into_iter().flat_map(|(x, z)| [-h, h].map(|h| [x, y, h * z])).collect();
+    let patches = vec![
+        patch("lower", linear(), sheet(-1.0)),
+        patch("upper", linear(), sheet(1.0)),
+        patch("port tip", linear(), cap(-span)),
+        patch("starboard tip", linear(), cap(span)),
+    ];
+    let (component, points) =
+        Component::new("wing".into(), patches, &ComponentOptions::default()).expect("a closed wing");
+    Body::new(component.into(), points)
+}
+
+#[test]
+fn thin_wings_keep_both_sheets() {
+    for h in [0.06, 0.03] {
+        let bodies = [sphere("hull", [0.45, 0.0, 0.01], 0.8), wing(3.0, h)];
+        let generated = mesh(&bodies, &cells(6000)).expect("a mesh");
+        let mesh = &generated.mesh;
+        let topology = Topology::of_cells(mesh.vertices.len(), &mesh.cells);
+        assert!(topology.is_watertight(&mesh.vertices, None));
+        assert_eq!(topology.euler(), 2);
+        for (cell, &owner) in mesh.cells.iter().zip(&generated.owner) {
+            let body = &bodies[owner as usize];
+            for &v in cell.vertices() {
+                let distance = body.signed_distance(&Vector3::from(mesh.vertices[v as usize])).abs();
+                assert!(distance <= 1e-10 * body.size(), "vertex {v}: {distance:e} m");
+            }
+        }
+        assert_eq!(generated.quality.total.folded, 0);
+        assert!(generated.quality.total.aspect_ratio.p95 <= 1.6, "{}", generated.quality);
+        assert!(generated.symmetric);
+    }
 }

@@ -181,6 +181,11 @@ impl Panels {
         if self.symmetric { &[0, 2] } else { &[0, 1, 2] }
     }
 
+    /// The point of a mesh vertex, if it belongs to the solved panels.
+    pub fn point_of(&self, vertex: u32) -> Option<u32> {
+        self.vertex_of.binary_search(&vertex).ok().map(|point| point as u32)
+    }
+
     /// The edge between two points.
     pub fn edge_between(&self, a: u32, b: u32) -> Option<u32> {
         let same = |e: &&u32| {

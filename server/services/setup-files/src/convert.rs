@@ -3,7 +3,7 @@
 use moldline_deform::SetupInput;
 use moldline_geometry::{Body, Component, ComponentOptions, PatchInput, Primitive};
 use moldline_mesh::{
-    Cell, Group, Origin, SurfaceMesh,
+    Cell, Group, MeshError, Origin, SurfaceMesh,
     io::{self, Format, Imported},
 };
 use moldline_parameterisation::{
@@ -61,7 +61,7 @@ pub fn read_setup(
         || reader.mesh(document.mesh),
         || Parameterisation::new(&references, &variables, &operations),
     );
-    let (Imported { mesh, origin }, parameterisation) = (mesh?, parameterisation?);
+    let (Imported { mesh, origin }, parameterisation) = (mesh.map_err(by_field)?, parameterisation?);
     too_many("outputs", "outputs", document.outputs.len(), limits.components)?;
     let outputs = document.outputs.into_iter().enumerate();
     let outputs =
@@ -87,6 +87,20 @@ pub fn check_parameterisation(text: &str, components: &[ComponentReference]) -> 
     let operations: Vec<_> = document.operations.into_iter().map(operation).collect();
     Parameterisation::new(components, &variables, &operations)?;
     Ok(())
+}
+
+/// Names a group's name that is too long as other names are.
+fn by_field(error: SetupFileError) -> SetupFileError {
+    match error {
+        SetupFileError::Mesh(MeshError::LongName { kind, index, start, length, limit }) => {
+            SetupFileError::Value {
+                field: format!("mesh.{kind}_groups[{index}].name"),
+                value: format!("'{start}...'"),
+                requirement: format!("has {length} bytes; names have {limit} at most"),
+            }
+        }
+        other => other,
+    }
 }
 
 /// Refuses names that no table, log line or header has room for.

@@ -4,7 +4,7 @@
 
 use std::path::Path;
 
-use moldline_deform::{NoMonitor, Options, Setup};
+use moldline_deform::{NoMonitor, OnEvent, Options, Setup};
 use moldline_setup_files::{Limits, read_folder, read_setup};
 
 /// The set-up in a folder of the repository, with other options.
@@ -13,6 +13,8 @@ pub fn setup(folder: &str, change: impl Fn(&mut Options)) -> Setup {
     let limits = Limits::default();
     let (files, setup_file) = read_folder(&path, &limits).expect("is there");
     let mut input = read_setup(&files, Some(&setup_file), &limits).expect("is valid").input;
+    // Derivatives are looked at where cells fold over each other, too.
+    input.options.on_event = OnEvent::Report;
     change(&mut input.options);
     Setup::build(input, &NoMonitor).expect("is a set-up")
 }
