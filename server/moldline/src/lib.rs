@@ -20,6 +20,7 @@ mod local;
 mod machine;
 mod mesh;
 mod output;
+mod page;
 pub mod panel;
 #[cfg(feature = "plot")]
 mod picture;

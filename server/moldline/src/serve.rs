@@ -12,7 +12,7 @@ use tokio::sync::watch;
 use crate::{
     api::{self, MeshApi},
     failure::Failure,
-    grpc, http, quotas,
+    grpc, http, page, quotas,
     shell::{self, ComputeOptions, ListenOptions, Parts, ServeError},
     store::Keeping,
 };
@@ -155,7 +155,7 @@ pub async fn parts(service: Arc<Service>, max_message: usize) -> Result<Parts, S
     });
     let admission = Admission { memory: Arc::clone(service.memory()), methods: api::method, max_message };
     let load = Arc::new(move || service.load());
-    let served = Served { http, grpc, open, admission };
+    let served = Served { http, pages: page::routes(), grpc, open, admission };
     Ok(Parts { served, health, gauges, load, reload: Box::new(|| Ok(())) })
 }
 

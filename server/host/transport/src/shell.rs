@@ -38,6 +38,8 @@ use crate::{
 pub struct Served {
     /// HTTP routes with their description, behind authentication.
     pub http: OpenApiRouter,
+    /// Files for browsers, without authentication.
+    pub pages: Router,
     /// gRPC services behind authentication.
     pub grpc: Routes,
     /// gRPC services without authentication: health, reflection.
@@ -108,6 +110,7 @@ pub fn router(served: Served, surroundings: Surroundings) -> Router {
         .route("/docs", get(docs));
     let mut router = http
         .merge(open)
+        .merge(served.pages)
         .merge(grpc)
         .fallback(unknown)
         .method_not_allowed_fallback(method_not_allowed)

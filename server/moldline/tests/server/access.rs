@@ -345,7 +345,7 @@ async fn metrics_are_for_administrators_and_probes_for_everybody() {
     let (user, admin) = (bearer(Role::User), bearer(Role::Admin));
     let access = Access { tokens: Some(TokenFile::open(&path).unwrap()), certificates: false };
     let server = Server::with(access, Limits::default()).await;
-    for path in ["/healthz", "/readyz", "/openapi.json", "/docs"] {
+    for path in ["/healthz", "/readyz", "/openapi.json", "/docs", "/", "/page.js"] {
         assert_eq!(server.ask("GET", path, &[], b"").await.status, 200, "{path}");
     }
     assert_eq!(server.ask("GET", "/metrics", &[], b"").await.status, 401);

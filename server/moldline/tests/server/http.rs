@@ -386,3 +386,25 @@ pub async fn compare_routes_with_rpcs(server: &Server, service: &str) {
         assert!(operations.iter().any(|name| name == rpc.name()), "{} has no route", rpc.name());
     }
 }
+
+/// The page is open to everybody, runs nothing but its own files, and is not sent twice.
+#[tokio::test]
+async fn the_page_is_served_under_a_strict_policy() {
+    let server = Server::start().await;
+    let page = server.ask("GET", "/", &[], b"").await;
+    assert_eq!(page.status, 200);
+    assert_eq!(page.headers["content-type"], "text/html; charset=utf-8");
+    let policy = &page.headers["content-security-policy"];
+    assert!(policy.starts_with("default-src 'none'") && !policy.contains("unsafe"), "{policy}");
+    let text = String::from_utf8(page.body.clone()).unwrap();
+    assert!(!text.contains("://") && !text.contains("<style") && !text.contains("style="), "{text}");
+    for link in ["page.js", "page.css"] {
+        assert!(text.contains(&format!("\"./{link}\"")), "{text}");
+        let file = server.ask("GET", &format!("/{link}"), &[], b"").await;
+        assert_eq!(file.status, 200, "{link}");
+        assert_eq!(file.headers["cache-control"], "no-cache");
+        let tag = &file.headers["etag"];
+        let again = server.ask("GET", &format!("/{link}"), &[("if-none-match", tag)], b"").await;
+        assert_eq!((again.status, again.body.len()), (304, 0), "{link}");
+    }
+}
