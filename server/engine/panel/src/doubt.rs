@@ -192,9 +192,13 @@ pub(crate) fn doubts(evidence: &Evidence<'_>) -> Vec<Warning> {
     let doubt = |check: Check| {
         let value = value(check, evidence);
         let limits = check.limits();
+        // A body without wakes is warned of only: its pressure drag tells how coarse it is, and there is no circulation that could be wrong.
+        let limits = if evidence.sections.is_empty() { &limits[..1] } else { &limits[..] };
         // What is no number is above every limit.
-        let limit =
-            limits.into_iter().rfind(|limit| value.partial_cmp(limit) != Some(std::cmp::Ordering::Less))?;
+        let limit = limits
+            .iter()
+            .copied()
+            .rfind(|limit| value.partial_cmp(limit) != Some(std::cmp::Ordering::Less))?;
         Some(Warning::Doubt { check, value, limit })
     };
     Check::ALL.into_iter().filter_map(doubt).collect()
