@@ -42,7 +42,7 @@ def setup(scratch: Path) -> Iterator[bytes]:
 def mesh(scratch: Path) -> Iterator[bytes]:
     """0: MSH, 1: VTU, 2: STL."""
     for kind, ending in enumerate(["msh", "vtu", "stl"]):
-        for path in sorted((ROOT / "server/mesh/tests/fixtures").glob(f"*.{ending}")):
+        for path in sorted((ROOT / "server/engine/mesh/tests/fixtures").glob(f"*.{ending}")):
             yield bytes([kind]) + path.read_bytes()
 
 
@@ -52,7 +52,7 @@ def archive(scratch: Path) -> Iterator[bytes]:
     for folder in (half, whole):
         paths = sorted(path for path in folder.rglob("*") if path.suffix in (".toml", ".json"))
         files = {path.relative_to(folder).as_posix(): path for path in paths}
-        files["mesh.msh"] = ROOT / "server/mesh/tests/fixtures/box_v41_ascii.msh"
+        files["mesh.msh"] = ROOT / "server/engine/mesh/tests/fixtures/box_v41_ascii.msh"
         for kind, mode in enumerate(["w", "w:gz"]):
             buffer = io.BytesIO()
             with tarfile.open(fileobj=buffer, mode=mode) as tar:
@@ -119,13 +119,32 @@ def iges(scratch: Path) -> Iterator[bytes]:
     yield "\n".join(lines).encode()
 
 
+def calls(scratch: Path) -> Iterator[bytes]:
+    """Six bytes for a call: upload, open, update, deform; and all of them in turn."""
+    begin = bytes([0, 0, 0, 0, 0, 0, 6, 0, 0, 0, 0, 0, 10, 0, 0, 0, 0, 3, 60, 0, 0, 0, 0, 2])
+    yield begin
+    yield begin + bytes(number for kind in range(64) for number in (kind, kind % 2, kind % 3, kind, kind // 3, kind))
+
+
+def requests(scratch: Path) -> Iterator[bytes]:
+    """A method, a choice of ids and content types, and a body."""
+    documents = ["", "{}", '{"design": {"ball.x": 0.5}}', '{"design": [0.5], "at": {"design": [0.5]}}', "[0.5]"]
+    for method in range(40):
+        for choice in (0, 5):
+            for document in documents:
+                yield bytes([method, choice]) + document.encode()
+    for method in range(40):
+        # Messages: field 3 is an array or a message, field 2 a string.
+        yield bytes([method, 1, 0x12, 1, 0x61, 0x1A, 2, 0x08, 1])
+
+
 def main() -> None:
     folder = Path(sys.argv[1])
-    for target in (setup, mesh, archive, body, step, iges):
+    for target in (setup, mesh, archive, body, step, iges, calls, requests):
         seeds = folder / target.__name__
         seeds.mkdir(parents=True, exist_ok=True)
         for index, seed in enumerate(target(folder / "scratch")):
-            (seeds / f"{index:02}").write_bytes(seed)
+            (seeds / f"{index:03}").write_bytes(seed)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,4 @@
-//! Random sequences of calls, to two servers on one store, against a model: every answer is the one that the model expects.
-//!
-//! `PROPTEST_CASES=1000 cargo test -p moldline-mesh-service --test model` tries more than the default.
-#![allow(clippy::unwrap_used, reason = "helpers of tests are tests")]
+//! Servers on one store, beside a model of what they have to answer. The fuzz target `calls` uses it too.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -14,10 +11,9 @@ use moldline_mesh_service::{
     UploadSource, Values, Visibility,
 };
 use moldline_testing::ball;
-use proptest::{prelude::*, test_runner::TestRunner};
 
-const TENANTS: [&str; 3] = ["one", "two", "three"];
-const TITLES: [&str; 3] = ["first", "second", "third"];
+pub const TENANTS: [&str; 3] = ["one", "two", "three"];
+pub const TITLES: [&str; 3] = ["first", "second", "third"];
 /// Quotas so small that they matter.
 const SETUPS: usize = 2;
 const SESSIONS: usize = 3;
@@ -26,7 +22,7 @@ const KEPT: u64 = 8;
 
 /// A call; numbers are taken modulo what there is.
 #[derive(Clone, Debug)]
-enum Call {
+pub enum Call {
     Upload {
         title: usize,
         visibility: Option<Shared>,
@@ -69,39 +65,10 @@ enum Call {
 }
 
 #[derive(Clone, Copy, Debug)]
-enum Shared {
+pub enum Shared {
     Private,
     With(usize),
     Public,
-}
-
-fn shared() -> impl Strategy<Value = Shared> {
-    prop_oneof![
-        2 => Just(Shared::Private),
-        2 => (0..TENANTS.len()).prop_map(Shared::With),
-        1 => Just(Shared::Public),
-    ]
-}
-
-fn call() -> impl Strategy<Value = Call> {
-    let title = 0..TITLES.len();
-    let request = 0..20_usize;
-    let session = any::<usize>();
-    prop_oneof![
-        4 => (title.clone(), proptest::option::of(shared())).prop_map(|(title, visibility)| Call::Upload { title, visibility }),
-        3 => (title.clone(), shared()).prop_map(|(title, visibility)| Call::Share { title, visibility }),
-        1 => title.clone().prop_map(|title| Call::Delete { title }),
-        6 => (title, request.clone()).prop_map(|(title, request)| Call::Open { title, request }),
-        30 => (session, prop_oneof![3 => Just(0_u64), 1 => 1..12_u64], -3..4_i8, request)
-            .prop_map(|(session, behind, x, request)| Call::Update { session, behind, x, request }),
-        8 => (session, 0..12_usize).prop_map(|(session, back)| Call::Retry { session, back }),
-        1 => session.prop_map(|session| Call::Close { session }),
-        2 => session.prop_map(|session| Call::Get { session }),
-        4 => (session, -3..4_i8).prop_map(|(session, x)| Call::Deform { session, x }),
-        2 => Just(Call::List),
-        1 => Just(Call::Collect),
-        1 => Just(Call::Restart),
-    ]
 }
 
 /// A session of the model.
@@ -161,7 +128,7 @@ impl Model {
     }
 }
 
-struct World {
+pub struct World {
     store: Store,
     servers: Vec<Service>,
     model: Model,
@@ -210,7 +177,7 @@ fn x_of(session: &Session) -> f64 {
 }
 
 impl World {
-    async fn new(store: Store) -> Self {
+    pub async fn new(store: Store) -> Self {
         let servers = vec![service(&store), service(&store)];
         Self { store, servers, model: Model::default(), ids: vec![String::new(); TITLES.len()] }
     }
@@ -222,7 +189,7 @@ impl World {
         (count > 0).then(|| number / 4 % among)
     }
 
-    async fn call(&mut self, server: usize, tenant: usize, call: Call) {
+    pub async fn call(&mut self, server: usize, tenant: usize, call: Call) {
         match call {
             Call::Upload { title, visibility } => self.upload(server, tenant, title, visibility).await,
             Call::Share { title, visibility: shared } => {
@@ -461,7 +428,7 @@ impl World {
     }
 
     /// Everything, as a server sees it that starts now; and the store is sound.
-    async fn check_all(&mut self) {
+    pub async fn check_all(&mut self) {
         self.servers.push(service(&self.store));
         let fresh = self.servers.len() - 1;
         for number in 0..self.model.sessions.len() {
@@ -475,33 +442,4 @@ impl World {
         let survey = self.store.survey().await.unwrap();
         assert_eq!(survey.sessions, self.model.sessions.iter().filter(|session| session.open).count());
     }
-}
-
-#[test]
-fn every_answer_is_the_models() {
-    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap();
-    let cases = std::env::var("PROPTEST_CASES").ok().and_then(|cases| cases.parse().ok()).unwrap_or(24);
-    let config = ProptestConfig {
-        cases,
-        failure_persistence: None,
-        max_shrink_iters: 200,
-        ..ProptestConfig::default()
-    };
-    let calls = proptest::collection::vec((0..2_usize, 0..TENANTS.len(), call()), 1..120);
-    let run = |(on_disk, calls): (bool, Vec<(usize, usize, Call)>)| {
-        runtime.block_on(async {
-            let folder = tempfile::tempdir().unwrap();
-            let store = match on_disk {
-                true => Store::open(folder.path().to_str().unwrap()).await.unwrap(),
-                false => Store::in_memory(),
-            };
-            let mut world = World::new(store).await;
-            for (server, tenant, call) in calls {
-                world.call(server, tenant, call).await;
-            }
-            world.check_all().await;
-        });
-        Ok(())
-    };
-    TestRunner::new(config).run(&(any::<bool>(), calls), run).unwrap();
 }
