@@ -67,7 +67,7 @@ const ELSEWHERE: [&str; 4] = ["setup_id", "session_id", "configuration_id", "req
 const NOT_NULL: [&str; 4] = ["at", "directions", "seeds", "options"];
 
 /// Fields of `READ` that the rules of [`read_field`] do not describe.
-const EXCEPTIONS: [(&str, &str); 18] = [
+const EXCEPTIONS: [(&str, &str); 19] = [
     ("UpdateSessionRequest.expected_generation", ""),
     (
         "UpdateSessionRequest.design",
@@ -103,6 +103,11 @@ const EXCEPTIONS: [(&str, &str); 18] = [
         "PanelOptions.solver",
         "#[serde(default, deserialize_with = \"crate::json::read::optional_word::<PanelSolver, _>\")] \
          #[schema(value_type = Option<PanelSolver>, nullable = false)]",
+    ),
+    (
+        "PanelOptions.on_doubt",
+        "#[serde(default, deserialize_with = \"crate::json::read::optional_word::<PanelOnDoubt, _>\")] \
+         #[schema(value_type = Option<PanelOnDoubt>, nullable = false)]",
     ),
     (
         "PanelOptions.components",

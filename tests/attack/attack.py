@@ -23,6 +23,8 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.append(str(ROOT / "tests" / "e2e"))
 sys.path.append(str(ROOT / "tests" / "torture"))
 
+import cancellation  # noqa: E402
+import closed  # noqa: E402
 import connections  # noqa: E402
 import memory  # noqa: E402
 import tenants  # noqa: E402
@@ -40,6 +42,8 @@ ATTACKS: dict[str, Callable[[Path, Path, bool], list[Row]]] = {
     "builds": memory.builds,
     "tenants": tenants.shares,
     "round trip": tenants.round_trip,
+    "deadlines": cancellation.cancelled,
+    "closed sessions": closed.sessions,
 }
 
 

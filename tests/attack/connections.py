@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import http.client
 import threading
 import time
 from pathlib import Path
@@ -11,19 +10,19 @@ import moldline
 
 import sphere_and_boom
 from server import Server
-from target import ask, closed_within, connect, head, many_files
+from sockets import PREFACE, ask, closed_within, connect, drip, head, many_files, within_files
 from trial import Row
-
-PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n"
-#: A shell that lowers the limit of open files, and becomes the server.
-FEW_FILES = ("bash", "-c", 'ulimit -n 1024; exec "$@"', "server")
 
 
 def silent(binary: Path, folder: Path, short: bool) -> list[Row]:
     """Ten times as many silent connections as there are files."""
     count = 2000 if short else 10_000
     setup_folder = sphere_and_boom.write(folder / "setup")
-    with many_files(), Server(binary, store=folder / "store", within=FEW_FILES) as server, server.client() as client:
+    with (
+        many_files(),
+        Server(binary, store=folder / "store", within=within_files(1024)) as server,
+        server.client() as client,
+    ):
         setup = client.create_setup(setup_folder)
         kinds = [b"", PREFACE[:12], head(server, "GET /healthz")[:-4]]
         open_, failed, slowest, stored = [], 0, 0.0, 0
@@ -69,18 +68,7 @@ def drain(binary: Path, folder: Path, short: bool) -> list[Row]:
 
             def upload(server: Server = server, to: list[bool] = outcomes) -> None:
                 body = b'{"format": 1, "name": "' + b"a" * 400
-                connection = http.client.HTTPConnection(server.address, timeout=60)
-                connection.putrequest("POST", "/v1/setups")
-                connection.putheader("content-type", "application/json")
-                connection.putheader("content-length", str(len(body)))
-                connection.endheaders()
-                try:
-                    for i in range(10):
-                        connection.send(body[i * len(body) // 10 : (i + 1) * len(body) // 10])
-                        time.sleep(0.1)
-                    to.append(connection.getresponse().status == 400)
-                except (OSError, http.client.HTTPException):
-                    to.append(False)
+                to.append(drip(server, body, 1.0) == 400)
 
             workers = [threading.Thread(target=upload) for _ in range(4)] + [
                 threading.Thread(target=deform) for _ in range(2)

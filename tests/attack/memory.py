@@ -15,7 +15,8 @@ import moldline
 from moldline.v1 import mesh_service_pb2
 
 from server import Server
-from target import MIB, Watch, connect, head
+from sockets import connect, head
+from target import MIB, Watch
 from trial import E175, Row
 
 #: The server's account, MiB.

@@ -1,78 +1,18 @@
-"""A server under attack: plain sockets to it, its memory, and how fast its health probe answers meanwhile."""
+"""A server under attack: its memory, and how fast its health probe answers meanwhile."""
 
 from __future__ import annotations
 
 import contextlib
-import http.client
-import resource
-import socket
 import threading
-import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 from server import Server
+from sockets import ask
 from trial import Row
 
 MIB = 1 << 20
-
-
-@contextlib.contextmanager
-def many_files() -> Iterator[int]:
-    """As many open files for this process as the system allows."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
-    yield hard
-    resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
-
-
-def connect(server: Server, first: bytes = b"") -> socket.socket:
-    """A connection on which `first` has been sent."""
-    host, port = server.address.rsplit(":", 1)
-    connection = socket.create_connection((host, int(port)), timeout=30)
-    if first:
-        connection.sendall(first)
-    return connection
-
-
-def head(server: Server, line: str, *fields: str) -> bytes:
-    """The head of a request over HTTP/1.1."""
-    return "\r\n".join([f"{line} HTTP/1.1", f"host: {server.address}", *fields, "", ""]).encode()
-
-
-def ask(server: Server, path: str = "/healthz", timeout: float = 5.0) -> tuple[int, float]:
-    """Status and seconds of a GET on a connection of its own; status 0 without an answer."""
-    start = time.monotonic()
-    connection = http.client.HTTPConnection(server.address, timeout=timeout)
-    try:
-        connection.request("GET", path)
-        status = connection.getresponse().status
-    except (OSError, http.client.HTTPException):
-        status = 0
-    finally:
-        connection.close()
-    return status, time.monotonic() - start
-
-
-def closed_within(connections: list[socket.socket], seconds: float) -> int:
-    """How many of them the server has closed at the end of that time."""
-    end = time.monotonic() + seconds
-    left = set(connections)
-    while left and time.monotonic() < end:
-        for connection in list(left):
-            connection.setblocking(False)
-            try:
-                while connection.recv(1 << 16):
-                    pass
-                left.discard(connection)
-            except BlockingIOError:
-                pass
-            except OSError:
-                left.discard(connection)
-        time.sleep(0.2)
-    return len(connections) - len(left)
 
 
 class Watch:

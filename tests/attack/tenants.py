@@ -13,7 +13,7 @@ import numpy as np
 
 import sphere_and_boom
 from server import Server
-from target import connect, head
+from sockets import connect, head
 from trial import Row
 
 

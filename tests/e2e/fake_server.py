@@ -36,6 +36,12 @@ def refusal(code: str, retry_after: float | None = None) -> Any:
     return rpc_status.to_status(status)
 
 
+def contradiction(code: str) -> Any:
+    """A status whose text is not that of its details, as gRPC's may be where a deadline passes at both ends at once."""
+    status = refusal(code)
+    return type(status)(status.code, "another text", status.trailing_metadata)
+
+
 class FakeServer(mesh_service_pb2_grpc.MeshServiceServicer, panel_service_pb2_grpc.PanelServiceServicer):
     """Answers with one of `refusals` per call, in turn, and then as a real server would."""
 

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import http.client
 import json
-import resource
 import signal
 import socket
 import subprocess
 import threading
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -22,59 +19,10 @@ from moldline.v1 import mesh_service_pb2
 
 import sphere_and_boom
 from server import Server
+from sockets import PREFACE, SETTINGS, ask, closed_within, connect, drip, head, many_files, post, within_files
 
 E175 = Path(__file__).parents[2] / "examples/e175"
 
-# A shell that lowers the limit of open files, and becomes the server.
-FEW_FILES = ("bash", "-c", 'ulimit -n 512; exec "$@"', "server")
-
-
-@contextlib.contextmanager
-def many_files() -> Iterator[int]:
-    """As many open files for this process as the system allows."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
-    yield hard
-    resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
-
-
-def connect(server: Server, first: bytes = b"") -> socket.socket:
-    host, port = server.address.rsplit(":", 1)
-    connection = socket.create_connection((host, int(port)), timeout=30)
-    if first:
-        connection.sendall(first)
-    return connection
-
-
-def probe(server: Server, path: str = "/healthz", timeout: float = 2.0) -> int:
-    connection = http.client.HTTPConnection(server.address, timeout=timeout)
-    connection.request("GET", path)
-    status = connection.getresponse().status
-    connection.close()
-    return status
-
-
-def closed_within(connections: list[socket.socket], seconds: float) -> int:
-    """How many of them the server has closed at the end of that time."""
-    end = time.monotonic() + seconds
-    left = set(connections)
-    while left and time.monotonic() < end:
-        for connection in list(left):
-            connection.setblocking(False)
-            try:
-                while connection.recv(4096):
-                    pass
-                left.discard(connection)
-            except BlockingIOError:
-                pass
-            except OSError:
-                left.discard(connection)
-        time.sleep(0.2)
-    return len(connections) - len(left)
-
-
-PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n"
-SETTINGS = bytes([0, 0, 0, 4, 0, 0, 0, 0, 0])
 SILENCES = {
     "nothing": b"",
     "half a preface": PREFACE[:12],
@@ -93,7 +41,7 @@ def test_silent_connections_keep_nobody_out(binary: Path, setup_folder: Path, tm
     """More silent connections than there are files: health answers, and the store works."""
     with (
         many_files() as files,
-        Server(binary, store=tmp_path / "store", within=FEW_FILES) as server,
+        Server(binary, store=tmp_path / "store", within=within_files(512)) as server,
         server.client() as before,
     ):
         setup = before.create_setup(setup_folder)
@@ -102,9 +50,9 @@ def test_silent_connections_keep_nobody_out(binary: Path, setup_folder: Path, tm
         for i in range(min(2000, files // 2)):
             connections.append(connect(server, PREFACE[:12] if i % 2 else b""))
             if i % 200 == 0:
-                start = time.monotonic()
-                assert probe(server) == 200
-                worst = max(worst, time.monotonic() - start)
+                status, seconds = ask(server)
+                assert status == 200
+                worst = max(worst, seconds)
         assert worst < 2.0
         with setup.session() as session, server.client() as after:
             session.update(setup.baseline)
@@ -117,31 +65,55 @@ def test_sighup_does_not_stop_a_server(binary: Path) -> None:
     with Server(binary) as server:
         server.process.send_signal(signal.SIGHUP)
         time.sleep(0.2)
-        assert probe(server) == 200
+        assert ask(server)[0] == 200
         assert server.stop() == 0
         assert any("asked to reload" in line for line in server.log)
 
 
-def slow_upload(server: Server, body: bytes, seconds: float, done: list[int]) -> None:
-    connection = http.client.HTTPConnection(server.address, timeout=60)
-    connection.putrequest("POST", "/v1/setups")
-    connection.putheader("content-type", "application/json")
-    connection.putheader("content-length", str(len(body)))
-    connection.endheaders()
-    pieces = 20
-    for i in range(pieces):
-        connection.send(body[i * len(body) // pieces : (i + 1) * len(body) // pieces])
-        time.sleep(seconds / pieces)
-    done.append(connection.getresponse().status)
+def test_sighup_exchanges_quotas(binary: Path, setup_folder: Path, tmp_path: Path) -> None:
+    """What a tenant has stays; a file that is wrong changes nothing."""
+    quotas = tmp_path / "quotas.json"
+
+    def exchange(server: Server, text: str) -> None:
+        quotas.write_text(text)
+        server.process.send_signal(signal.SIGHUP)
+        time.sleep(0.3)
+
+    quotas.write_text('{"format": 1, "tenants": {"local": {"sessions": 1}}}')
+    once = moldline.Retry(attempts=1)
+    with Server(binary, "--quotas", str(quotas)) as server, server.client(retry=once) as client:
+        setup = client.create_setup(setup_folder)
+        first = setup.session()
+        with pytest.raises(moldline.ResourceExhausted, match="limit is 1"):
+            setup.session()
+        exchange(server, '{"format": 1, "tenants": {"local": {"sessions": 2}}}')
+        second = setup.session()
+        for text in ["nonsense", '{"format": 1, "tenants": {"local": {"session": 3}}}']:
+            exchange(server, text)
+            with pytest.raises(moldline.ResourceExhausted, match="limit is 2"):
+                setup.session()
+        assert sum("stays as it was" in line for line in server.log) == 2
+        exchange(server, '{"format": 1, "tenants": {"local": {"sessions": 1, "setups": 0}}}')
+        for session in [first, second]:
+            session.deform()
+        with pytest.raises(moldline.ResourceExhausted, match="limit is 1"):
+            setup.session()
+        assert server.stop() == 0
+
+
+def test_a_server_does_not_start_with_quotas_that_it_cannot_read(binary: Path, tmp_path: Path) -> None:
+    serve = [str(binary), "serve", "--store", "memory", "--listen", "127.0.0.1:0", "--quotas", str(tmp_path / "none")]
+    refused = subprocess.run(serve, capture_output=True, text=True, timeout=60)
+    assert refused.returncode == 1
+    assert "quotas" in refused.stderr
 
 
 def test_an_upload_under_way_is_finished_by_a_drain(binary: Path) -> None:
     """The body still comes for seconds after the signal; its answer is sent, and the exit code is 0."""
     with Server(binary) as server:
         done: list[int] = []
-        upload = threading.Thread(
-            target=slow_upload, args=(server, b'{"format": 1, "name": "' + b"a" * 1000, 4.0, done)
-        )
+        body = b'{"format": 1, "name": "' + b"a" * 1000
+        upload = threading.Thread(target=lambda: done.append(drip(server, body, 4.0)))
         upload.start()
         time.sleep(0.5)
         code = server.stop()
@@ -151,8 +123,8 @@ def test_an_upload_under_way_is_finished_by_a_drain(binary: Path) -> None:
 
 def test_a_drain_that_cuts_something_says_so(binary: Path) -> None:
     with Server(binary, "--drain-timeout", "1") as server:
-        head = b"POST /v1/setups HTTP/1.1\r\nhost: localhost\r\ncontent-type: application/json\r\n"
-        connection = connect(server, head + b"content-length: 100\r\n\r\n{")
+        fields = ["content-type: application/json", "content-length: 100"]
+        connection = connect(server, head(server, "POST /v1/setups", *fields) + b"{")
         time.sleep(0.5)
         assert server.stop() == 1
         assert any("cut off" in line for line in server.log)
@@ -170,14 +142,18 @@ def test_an_answer_that_is_read_slowly_is_finished_by_a_drain(binary: Path) -> N
         connection.connect((host, int(port)))
         body = json.dumps({"at": {"linearisation_id": linearised.linearisation_id}}).encode()
         connection.sendall(
-            f"POST /v1/sessions/{session.id}/jacobian HTTP/1.1\r\nhost: {server.address}\r\n"
-            "content-type: application/json\r\naccept: application/octet-stream\r\n"
-            f"content-length: {len(body)}\r\n\r\n".encode()
+            head(
+                server,
+                f"POST /v1/sessions/{session.id}/jacobian",
+                "content-type: application/json",
+                "accept: application/octet-stream",
+                f"content-length: {len(body)}",
+            )
             + body
         )
         received = connection.recv(1 << 16)
-        head, _, rest = received.partition(b"\r\n\r\n")
-        assert head.startswith(b"HTTP/1.1 200"), received[:500]
+        status, _, rest = received.partition(b"\r\n\r\n")
+        assert status.startswith(b"HTTP/1.1 200"), received[:500]
         server.process.terminate()
         start = time.monotonic()
         size = len(rest)
@@ -219,10 +195,12 @@ def test_probes_and_metrics_have_a_port_of_their_own(binary: Path, tmp_path: Pat
             assert path != "/metrics" or b"moldline_memory_limit_bytes" in body
             connection.close()
         # A role is checked before a body comes.
-        head = f"POST /v1/sessions/a/deform HTTP/1.1\r\nhost: {server.address}\r\nauthorization: Bearer {reader}\r\n"
-        connection = connect(
-            server, f"{head}content-type: application/json\r\ncontent-length: 1000000\r\n\r\n".encode()
-        )
+        fields = [
+            f"authorization: Bearer {reader}",
+            "content-type: application/json",
+            "content-length: 1000000",
+        ]
+        connection = connect(server, head(server, "POST /v1/sessions/a/deform", *fields))
         assert connection.recv(4096).startswith(b"HTTP/1.1 403")
         connection.close()
 
@@ -273,25 +251,16 @@ def test_messages_that_grow_when_they_are_decoded_are_refused(server: Server) ->
         assert refused.value.code() == grpc.StatusCode.RESOURCE_EXHAUSTED
 
 
-def post(server: Server, path: str, body: bytes) -> tuple[int, bytes]:
-    connection = http.client.HTTPConnection(server.address, timeout=30)
-    connection.request("POST", path, body, {"content-type": "application/json"})
-    answer = connection.getresponse()
-    status, content = answer.status, answer.read()
-    connection.close()
-    return status, content
-
-
 def test_a_server_whose_store_has_vanished_is_not_ready(binary: Path, tmp_path: Path) -> None:
     with Server(binary, store=tmp_path / "store") as server:
-        assert probe(server, "/readyz") == 200
+        assert ask(server, "/readyz")[0] == 200
         (tmp_path / "store").rename(tmp_path / "elsewhere")
         end = time.monotonic() + 20
-        while probe(server, "/readyz") == 200:
+        while ask(server, "/readyz")[0] == 200:
             assert time.monotonic() < end
             time.sleep(0.2)
-        assert probe(server, "/healthz") == 200
+        assert ask(server)[0] == 200
         (tmp_path / "elsewhere").rename(tmp_path / "store")
-        while probe(server, "/readyz") != 200:
+        while ask(server, "/readyz")[0] != 200:
             assert time.monotonic() < end
             time.sleep(0.2)

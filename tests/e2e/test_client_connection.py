@@ -15,7 +15,7 @@ import pytest
 import trustme
 
 from clients import LANGUAGES, Client, Refused
-from fake_server import JACOBIAN, DyingServer, FakeServer, refusal
+from fake_server import JACOBIAN, DyingServer, FakeServer, contradiction, refusal
 
 
 @pytest.fixture(scope="module", params=LANGUAGES)
@@ -66,6 +66,13 @@ def test_other_failures_are_final(client: Client, server: FakeServer, refused: A
     assert error.value.code == refused.code.name
     assert error.value.message == f"{refused.code.name} on demand"
     assert len(server.calls) == 1
+
+
+def test_an_error_with_two_texts_is_that_error(client: Client, server: FakeServer) -> None:
+    server.refusals = [contradiction("DEADLINE_EXCEEDED")]
+    with pytest.raises(Refused) as error:
+        client("status")
+    assert error.value.code == "DEADLINE_EXCEEDED"
 
 
 def test_attempts_are_counted(client: Client, server: FakeServer) -> None:

@@ -42,7 +42,7 @@ def setup(scratch: Path) -> Iterator[bytes]:
 def mesh(scratch: Path) -> Iterator[bytes]:
     """0: MSH, 1: VTU, 2: STL."""
     for kind, ending in enumerate(["msh", "vtu", "stl"]):
-        for path in sorted((ROOT / "server/mesh/tests/fixtures").glob(f"*.{ending}")):
+        for path in sorted((ROOT / "server/engine/mesh/tests/fixtures").glob(f"*.{ending}")):
             yield bytes([kind]) + path.read_bytes()
 
 
@@ -52,7 +52,7 @@ def archive(scratch: Path) -> Iterator[bytes]:
     for folder in (half, whole):
         paths = sorted(path for path in folder.rglob("*") if path.suffix in (".toml", ".json"))
         files = {path.relative_to(folder).as_posix(): path for path in paths}
-        files["mesh.msh"] = ROOT / "server/mesh/tests/fixtures/box_v41_ascii.msh"
+        files["mesh.msh"] = ROOT / "server/engine/mesh/tests/fixtures/box_v41_ascii.msh"
         for kind, mode in enumerate(["w", "w:gz"]):
             buffer = io.BytesIO()
             with tarfile.open(fileobj=buffer, mode=mode) as tar:

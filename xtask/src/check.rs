@@ -5,7 +5,7 @@ use crate::{
     demo, fuzz, links,
     process::{Outcome, build_moldline, cargo, command, run},
     python::Python,
-    tools,
+    tools, wheel,
 };
 
 /// Seconds for each fuzz target in the long run.
@@ -20,7 +20,7 @@ pub fn lint() -> Outcome {
 }
 
 /// What must hold before a change lands; with `all`, also what takes too long for every change: lints of dependencies, the
-/// demo, the torture trials and a minute of each fuzz target.
+/// wheel, the demo, the torture trials and a minute of each fuzz target.
 pub fn test(all: bool) -> Outcome {
     let python = Python::ready()?;
     let mut steps = Steps::default();
@@ -42,6 +42,7 @@ pub fn test(all: bool) -> Outcome {
         run("pytest", clients.tell(&mut pytest))
     }));
     if all {
+        steps.of(wheel::wheel());
         steps.of(demo::demo(true));
         steps.of(demo::torture(false, &[]));
         steps.of(fuzz::fuzz(FUZZ_SECONDS, &[]));

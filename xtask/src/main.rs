@@ -1,5 +1,5 @@
-//! The repository's own commands: `cargo xtask demo | figures | study | validate-panel | test | lint | clients | bench |
-//! torture | attack | fuzz`.
+//! The repository's own commands: `cargo xtask demo | figures | study | validate-panel | test | lint | clients | wheel | bench
+//! | torture | attack | fuzz`.
 //!
 //! They need only Rust, a C compiler and Python >= 3.11. Everything else comes from crates.io and PyPI, into `target/`, except
 //! the libraries of the C++ client, which come from the distribution.
@@ -14,6 +14,7 @@ mod packages;
 mod process;
 mod python;
 mod tools;
+mod wheel;
 
 use std::{path::PathBuf, process::ExitCode};
 
@@ -59,6 +60,9 @@ enum Command {
     Lint,
     /// Build the Rust and C++ clients with their examples and test drivers; installs gRPC for C++ where it can
     Clients,
+    /// Build the Python package with the stripped server in it into target/wheels, and deform a mesh with it in an empty
+    /// environment
+    Wheel,
     /// Run the benchmarks behind the goals, beside scipy; numbers go to out/bench.json
     Bench {
         /// Also on the mesh of about 100,000 cells, made with gmsh if it is missing
@@ -106,6 +110,7 @@ fn main() -> ExitCode {
         Command::Test { all } => check::test(all),
         Command::Lint => check::lint(),
         Command::Clients => clients::Clients::built().map(drop),
+        Command::Wheel => wheel::wheel(),
         Command::Bench { large, large_folder } => bench::bench(large, large_folder),
         Command::Torture { short, only } => demo::torture(short, &only),
         Command::Attack { short, only } => demo::attack(short, &only),

@@ -1,4 +1,4 @@
-//! The repository's Python environment, in `target/venv`.
+//! Python environments: the repository's, in `target/venv`, and empty ones.
 
 use std::{
     env, fs,
@@ -23,32 +23,25 @@ const REQUIREMENTS: [&str; 4] = [
 /// Requirements of the mesher, which only `figures` and `bench --large` run.
 const MESHING: &str = "examples/e175/requirements.txt";
 
-/// A virtual environment with the client and all requirements.
+/// A virtual environment.
 #[derive(Debug)]
 pub struct Python {
     interpreter: PathBuf,
 }
 
 impl Python {
-    /// The environment, made again if any of its ingredients has changed.
+    /// The repository's environment, with the client and all requirements: made again if any of its ingredients has changed.
     pub fn ready() -> Outcome<Self> {
         let folder = root().join("target/venv");
-        let python = Self {
-            interpreter: folder.join(if cfg!(windows) { "Scripts/python.exe" } else { "bin/python" }),
-        };
         let stamp = folder.join("made-from");
-        let (interpreter, version) = interpreter()?;
+        let (_, version) = interpreter()?;
         let wanted = ingredients(&version)?;
+        let python = Self::below(&folder);
         if python.interpreter.exists() && fs::read_to_string(&stamp).is_ok_and(|made| made == wanted) {
             return Ok(python);
         }
         // From scratch: a half upgraded environment is worse than a minute lost.
-        if folder.exists() {
-            fs::remove_dir_all(&folder)
-                .map_err(|error| format!("cannot remove {}: {error}", folder.display()))?;
-        }
-        let title = format!("Python environment in {} ({version})", folder.display());
-        run(&title, command(interpreter).args(["-m", "venv"]).arg(&folder))?;
+        let python = Self::empty(&folder)?;
         let mut install = python.pip();
         install.args(["--editable", "client/python[test]"]);
         for file in REQUIREMENTS {
@@ -57,6 +50,22 @@ impl Python {
         run("client and requirements from PyPI", &mut install)?;
         fs::write(&stamp, wanted).map_err(|error| format!("cannot write {}: {error}", stamp.display()))?;
         Ok(python)
+    }
+
+    /// An environment with nothing in it, in the place of any that is there.
+    pub fn empty(folder: &Path) -> Outcome<Self> {
+        if folder.exists() {
+            fs::remove_dir_all(folder)
+                .map_err(|error| format!("cannot remove {}: {error}", folder.display()))?;
+        }
+        let (interpreter, version) = interpreter()?;
+        let title = format!("Python environment in {} ({version})", folder.display());
+        run(&title, command(interpreter).args(["-m", "venv"]).arg(folder))?;
+        Ok(Self::below(folder))
+    }
+
+    fn below(folder: &Path) -> Self {
+        Self { interpreter: folder.join(if cfg!(windows) { "Scripts/python.exe" } else { "bin/python" }) }
     }
 
     /// Installs the mesher (gmsh).
@@ -98,7 +107,8 @@ impl Python {
         command
     }
 
-    fn pip(&self) -> Command {
+    /// `pip install`.
+    pub fn pip(&self) -> Command {
         let mut command = self.module("pip");
         command.args(["install", "--quiet", "--disable-pip-version-check", "--no-input"]);
         command

@@ -231,7 +231,8 @@ Deformation deformation(const v1::DeformResponse& message, const DesignPoint& po
         read<double>(cells.skew())};
   }
   const auto& residuals = message.residuals();
-  result.residuals = {residuals.seam(), residuals.held(), residuals.projection(), residuals.projection_steps()};
+  result.residuals = {residuals.seam(), residuals.held(), residuals.projection(), residuals.projection_steps(),
+                      residuals.crossing_pairs()};
   result.timings = timings(message.timings());
   return result;
 }

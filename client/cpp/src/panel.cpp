@@ -76,6 +76,12 @@ void write(const AnalysisPoint& at, v1::AnalysisPoint& message) {
   write(at.flow.reference, *message.mutable_reference());
 }
 
+std::vector<Warning> warnings(const google::protobuf::RepeatedPtrField<v1::PanelWarning>& messages) {
+  std::vector<Warning> warnings;
+  for (const auto& each : messages) warnings.push_back({each.kind(), each.text()});
+  return warnings;
+}
+
 ConfigurationFacts facts(const v1::Configuration& message) {
   ConfigurationFacts facts;
   facts.id = message.configuration_id();
@@ -85,6 +91,11 @@ ConfigurationFacts facts(const v1::Configuration& message) {
   facts.symmetric = message.symmetric();
   facts.trailing_edges = internal::read<std::array<std::uint32_t, 2>>(message.trailing_edges());
   facts.roots = internal::read<std::uint32_t>(message.roots());
+  if (message.has_aft_ends()) facts.aft_ends = internal::read<std::uint32_t>(message.aft_ends());
+  for (const auto& line : message.left_out()) {
+    facts.left_out.push_back({internal::read<std::uint32_t>(line.vertices()), line.length(), line.width(), line.turn(), line.reason()});
+  }
+  facts.warnings = warnings(message.warnings());
   facts.solver = static_cast<Solver>(message.solver());
   facts.memory = message.memory_bytes();
   facts.components.assign(message.components().begin(), message.components().end());
@@ -136,6 +147,7 @@ Analysis analysis(const v1::Analysis& answer, const v1::FlowAnalysis& flow, cons
   analysis.coefficients = coefficients(flow.coefficients());
   analysis.wake_lift = flow.wake_lift();
   analysis.disagreement = flow.disagreement();
+  analysis.warnings = warnings(flow.warnings());
   analysis.total = loads(flow.total());
   for (const auto& each : flow.components()) analysis.components.emplace(each.name(), loads(each));
   analysis.sections.edges = internal::read<std::array<std::uint32_t, 2>>(flow.sections().edges());
@@ -210,6 +222,7 @@ Configuration Client::create_configuration(
   choices.set_solver(static_cast<v1::PanelSolver>(options.solver));
   if (options.tolerance) choices.set_tolerance(*options.tolerance);
   if (options.merge_tolerance) choices.set_merge_tolerance(*options.merge_tolerance);
+  choices.set_on_doubt(static_cast<v1::PanelOnDoubt>(options.on_doubt));
   ConfigurationFacts found = create(*connection_, *request, connection_->budget(options));
   return {connection_, std::move(found), std::move(request)};
 }

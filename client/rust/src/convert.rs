@@ -291,6 +291,7 @@ pub fn deformation(message: v1::DeformResponse, point: DesignPoint) -> Result<De
             held: residuals.held,
             projection: residuals.projection,
             projection_steps: residuals.projection_steps,
+            crossing_pairs: residuals.crossing_pairs,
         },
         timings: timings(message.timings),
     })

@@ -329,6 +329,8 @@ pub struct Residuals {
     pub projection: f64,
     /// Largest number of projection steps of a vertex.
     pub projection_steps: u32,
+    /// Pairs of cells that pass through each other and did not in the set-up's mesh, at most 1000 (option `on_event`).
+    pub crossing_pairs: u32,
 }
 
 /// Time that requests took on the server.

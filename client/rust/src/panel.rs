@@ -34,8 +34,8 @@ use tonic::transport::Channel;
 
 pub use model::{
     Analysis, AnalysisPoint, At, Cell, Coefficients, ConfigurationFacts, ConfigurationOptions, Directions,
-    Flow, Gradients, IndexGroups, Loads, Reference, Sections, Seeds, Solver, Symmetry, Tangents,
-    TrailingEdges, Wind,
+    Flow, Gradients, IndexGroups, LineLeftOut, Loads, OnDoubt, Reference, Sections, Seeds, Solver, Symmetry,
+    Tangents, TrailingEdges, Warning, Wind,
 };
 
 use crate::{

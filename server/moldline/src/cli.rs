@@ -2,6 +2,8 @@
 
 use clap::{Args, CommandFactory, Parser, Subcommand};
 
+#[cfg(feature = "plot")]
+use crate::draw::PlotOptions;
 use crate::{
     check::CheckOptions,
     deform::DeformOptions,
@@ -44,6 +46,9 @@ pub enum Command {
     Token(TokenOptions),
     /// Deform the mesh of a set-up on this machine and write it as VTU, MSH or STL
     Deform(DeformOptions),
+    /// Draw the mesh of a file or set-up as a PNG picture, coloured by the aspect ratio of its cells
+    #[cfg(feature = "plot")]
+    Plot(PlotOptions),
     /// Make a set-up of an aircraft file: STEP or IGES, untrimmed
     Import(ImportCommand),
     /// Mesh the union of a set-up's components

@@ -39,6 +39,10 @@ pub struct DeformOptions {
     /// or .stl
     #[arg(long, short, value_name = "FILE")]
     pub output: PathBuf,
+    /// Draw the deformed mesh to this PNG file, coloured by displacement
+    #[cfg(feature = "plot")]
+    #[arg(long, value_name = "FILE")]
+    pub png: Option<PathBuf>,
     /// Write design and quality to this JSON file
     #[arg(long, value_name = "FILE")]
     pub report: Option<PathBuf>,
@@ -74,6 +78,10 @@ pub fn run(options: &DeformOptions) -> Result<(), Failure> {
     write(&options.output, &content)?;
     say(&deformation.quality)?;
     say(&format_args!("wrote {}", options.output.display()))?;
+    #[cfg(feature = "plot")]
+    if let Some(path) = &options.png {
+        crate::draw::displacements(path, &mesh, &setup.mesh().vertices)?;
+    }
     if let Some(path) = &options.report {
         let report = report(&setup, &design, &deformation);
         write(path, format!("{report:#}\n").as_bytes())?;
@@ -112,6 +120,7 @@ fn report(setup: &Setup, design: &[f64], deformation: &Deformation) -> serde_jso
         "held_residual": deformation.held_residual,
         "projection_residual": deformation.projection_residual,
         "projection_steps": deformation.projection_steps,
+        "crossing_pairs": deformation.crossings.len(),
     })
 }
 

@@ -10,6 +10,8 @@ mod check;
 pub mod cli;
 mod convert;
 mod deform;
+#[cfg(feature = "plot")]
+mod draw;
 mod failure;
 mod grpc;
 mod http;
@@ -20,7 +22,10 @@ mod mesh;
 mod output;
 pub mod panel;
 #[cfg(feature = "plot")]
+mod picture;
+#[cfg(feature = "plot")]
 mod plot;
+pub mod quotas;
 pub mod serve;
 mod setup;
 pub mod shell;
@@ -48,6 +53,8 @@ pub fn run(command: Command) -> Result<(), Failure> {
         Command::Status(options) => Ok(status::run(&options)?),
         Command::Token(options) => Ok(token::run(&options)?),
         Command::Deform(options) => deform::run(&options),
+        #[cfg(feature = "plot")]
+        Command::Plot(options) => draw::run(&options),
         Command::Import(options) => import::run(&options),
         Command::Mesh(options) => mesh::run(&options),
         Command::Setup(options) => setup::report(&options),

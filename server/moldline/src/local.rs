@@ -11,7 +11,9 @@ use std::{
 use clap::Args;
 use moldline_deform::{Monitor, Setup, Stage};
 use moldline_host::{Cancellation, ServiceError};
-use moldline_mesh::io::Format;
+#[cfg(feature = "plot")]
+use moldline_mesh::SurfaceMesh;
+use moldline_mesh::io::{Format, Imported};
 use moldline_mesh_service::{explained, reporter};
 use moldline_setup_files::{
     ArchiveKind, Files, GeometryContent, Limits, SetupFileError, read_folder, read_geometry,
@@ -74,6 +76,27 @@ pub fn build_with_mesh(source: &Source) -> Result<Built, Failure> {
     let setup =
         with_bar(|monitor| Setup::build(content.input, monitor).map_err(|error| explained(&origin, error)))?;
     Ok(Built { setup, mesh_file })
+}
+
+/// Reads a mesh file and merges its nodes within `tolerance`, in the file's unit.
+pub fn mesh_file(path: &Path, tolerance: f64) -> Result<Imported, Failure> {
+    let failed = |error: io::Error| Failure::File { path: path.to_owned(), error };
+    let format = Format::of_name(&path.to_string_lossy());
+    let unknown = || failed(io::Error::other(format!("is not a {} file", Format::ENDINGS)));
+    let format = format.ok_or_else(unknown)?;
+    let bytes = fs::read(path).map_err(failed)?;
+    format
+        .read(&bytes, tolerance, &moldline_mesh::Limits::default())
+        .map_err(|error| failed(io::Error::other(error.to_string())))
+}
+
+/// Reads the mesh of a set-up, m, without building the set-up.
+#[cfg(feature = "plot")]
+pub fn mesh(source: &Source) -> Result<SurfaceMesh, Failure> {
+    let limits = Limits::default();
+    let (files, setup_file) = read(source, &limits).map_err(ServiceError::from)?;
+    let content = read_setup(&files, Some(&setup_file), &limits).map_err(ServiceError::from)?;
+    Ok(content.input.mesh)
 }
 
 /// Runs `work` with a progress bar.

@@ -28,10 +28,15 @@ pub fn plateau(title: &str, groups: &[Group], check: &DesignCheck) -> Result<Vec
     register_font("sans-serif", FontStyle::Normal, dejavu::sans::regular()).map_err(|_| PlotError::Font)?;
     let mut pixels = vec![0; (3 * WIDTH * HEIGHT) as usize];
     draw(title, groups, check, &mut pixels).map_err(|error| PlotError::Drawing(error.to_string()))?;
+    encoded(&pixels, WIDTH, HEIGHT)
+}
+
+/// The bytes of a PNG file with these pixels: red, green and blue, row by row from above.
+pub fn encoded(pixels: &[u8], width: u32, height: u32) -> Result<Vec<u8>, PlotError> {
     let mut file = Vec::new();
-    let mut encoder = png::Encoder::new(&mut file, WIDTH, HEIGHT);
+    let mut encoder = png::Encoder::new(&mut file, width, height);
     encoder.set_color(png::ColorType::Rgb);
-    encoder.write_header()?.write_image_data(&pixels)?;
+    encoder.write_header()?.write_image_data(pixels)?;
     Ok(file)
 }
 

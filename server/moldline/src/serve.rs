@@ -1,6 +1,6 @@
 //! `moldline serve`: the mesh service on a port.
 
-use std::{sync::Arc, time::Duration};
+use std::{path::PathBuf, sync::Arc, time::Duration};
 
 use clap::Args;
 use metrics::{counter, gauge};
@@ -12,7 +12,7 @@ use tokio::sync::watch;
 use crate::{
     api::{self, MeshApi},
     failure::Failure,
-    grpc, http,
+    grpc, http, quotas,
     shell::{self, ComputeOptions, ListenOptions, Parts, ServeError},
     store::Keeping,
 };
@@ -42,6 +42,9 @@ pub struct ServeOptions {
     /// Largest size of stored set-ups and sessions per tenant, MiB; 64 KiB of each session are free
     #[arg(long, env = "MOLDLINE_MAX_STORED", default_value_t = 65536, value_name = "MIB")]
     pub max_stored: u64,
+    /// Quotas of single tenants in place of the three above, JSON; SIGHUP reads it again
+    #[arg(long, env = "MOLDLINE_QUOTAS", value_name = "FILE")]
+    pub quotas: Option<PathBuf>,
     /// Answer a tenant's first upload at once if others have the same content; otherwise it takes the time of its build, so that
     /// it does not tell what others have
     #[arg(long, env = "MOLDLINE_FAST_KNOWN_UPLOADS")]
@@ -123,7 +126,16 @@ async fn serve(options: &ServeOptions, service: Arc<Service>) -> Result<(), Serv
     if options.store == "memory" {
         tracing::warn!("the store is in memory: set-ups and sessions end with this server");
     }
-    shell::serve(&options.listen, parts(service, options.compute.max_message << 20).await?).await
+    let mut parts = parts(Arc::clone(&service), options.compute.max_message << 20).await?;
+    if let Some(file) = options.quotas.clone() {
+        let usual = service.limits().quota();
+        parts.reload = Box::new(move || {
+            service.set_quotas(quotas::read(&file, usual)?);
+            Ok(())
+        });
+        (parts.reload)()?;
+    }
+    shell::serve(&options.listen, parts).await
 }
 
 /// The mesh service on its routes. Messages may have `max_message` bytes.
@@ -143,7 +155,8 @@ pub async fn parts(service: Arc<Service>, max_message: usize) -> Result<Parts, S
     });
     let admission = Admission { memory: Arc::clone(service.memory()), methods: api::method, max_message };
     let load = Arc::new(move || service.load());
-    Ok(Parts { served: Served { http, grpc, open, admission }, health, gauges, load })
+    let served = Served { http, grpc, open, admission };
+    Ok(Parts { served, health, gauges, load, reload: Box::new(|| Ok(())) })
 }
 
 /// What is wrong with the store, looked at every second as long as the service lives.

@@ -13,7 +13,7 @@ use moldline_transport::{
 };
 use tokio::{runtime, sync::oneshot, time};
 
-use crate::{machine, shutdown, telemetry, values};
+use crate::{machine, quotas::QuotaFileError, shutdown, telemetry, values};
 
 /// Options of a service's port, its access and its end.
 #[derive(Debug, Args)]
@@ -41,6 +41,9 @@ pub struct ListenOptions {
     /// `moldline://TENANT/ROLE` among its alternative names, or by its common name. Optional for callers with a token
     #[arg(long, env = "MOLDLINE_CLIENT_CA", value_name = "FILE", requires = "tls_cert")]
     pub client_ca: Option<PathBuf>,
+    /// Client certificates that their authorities have revoked (CRL), PEM; SIGHUP reads it again
+    #[arg(long, env = "MOLDLINE_CLIENT_CRL", value_name = "FILE", requires = "client_ca")]
+    pub client_crl: Option<PathBuf>,
     /// Allow calls from web pages of this origin, as in `https://example.org`
     #[arg(long, env = "MOLDLINE_CORS_ORIGIN", value_name = "ORIGIN", value_delimiter = ',')]
     pub cors_origin: Vec<HeaderValue>,
@@ -160,6 +163,9 @@ pub enum ServeError {
     /// The certificates or the key cannot be read.
     #[error("cannot use TLS: {0}")]
     Tls(#[from] TlsError),
+    /// The quotas of single tenants cannot be read.
+    #[error("cannot read the quotas: {0}")]
+    Quotas(#[from] QuotaFileError),
     /// The metrics recorder cannot be installed.
     #[error("cannot record metrics: {0}")]
     Metrics(String),
@@ -173,6 +179,9 @@ pub enum ServeError {
     Abandoned(usize),
 }
 
+/// Reads the files of a service again, which stays as it was if it cannot.
+pub type Reload = Box<dyn Fn() -> Result<(), ServeError> + Send + Sync>;
+
 /// A service for [`serve`].
 pub struct Parts {
     /// Its gRPC and HTTP routes.
@@ -183,6 +192,8 @@ pub struct Parts {
     pub gauges: Gauges,
     /// The number of its requests that compute or wait.
     pub load: Arc<dyn Fn() -> usize + Send + Sync>,
+    /// Called on SIGHUP.
+    pub reload: Reload,
 }
 
 /// A runtime for requests, which compute elsewhere. The second thread keeps health probes answered.
@@ -199,7 +210,7 @@ pub(crate) async fn serve(options: &ListenOptions, parts: Parts) -> Result<(), S
     if !options.listen.ip().is_loopback() && !access.asks() && !options.insecure_listen {
         return Err(ServeError::Public(options.listen));
     }
-    let Parts { served, health, gauges, load } = parts;
+    let Parts { served, health, gauges, load, reload } = parts;
     let tls = tls(options)?.map(Tls::new);
     let port = Port::bind(options.listen, tls.clone(), connection_limits(options, raise_file_limit()))
         .await
@@ -233,13 +244,17 @@ pub(crate) async fn serve(options: &ListenOptions, parts: Parts) -> Result<(), S
         let _ = closed.await;
     }));
 
-    let reload = || match (&tls, self::tls(options)) {
-        (Some(tls), Ok(Some(acceptor))) => {
-            tls.replace(acceptor);
-            tracing::info!("asked to reload: certificates are those on disk now");
+    let reload = || {
+        let certificates = self::tls(options).map(|acceptor| {
+            if let (Some(tls), Some(acceptor)) = (&tls, acceptor) {
+                tls.replace(acceptor);
+                connections.renew();
+            }
+        });
+        tracing::info!("asked to reload: reading certificates and quotas; tokens need no reload");
+        for error in [certificates, reload()].into_iter().filter_map(Result::err) {
+            tracing::error!(%error, "this stays as it was");
         }
-        (_, Ok(_)) => tracing::info!("asked to reload: nothing to do, changes of tokens take effect at once"),
-        (_, Err(error)) => tracing::error!(%error, "asked to reload: the certificates stay as they are"),
     };
     tokio::select! {
         () = signals.requested(reload) => {}
@@ -333,7 +348,8 @@ fn tls(options: &ListenOptions) -> Result<Option<tokio_rustls::TlsAcceptor>, Ser
     let (Some(certificate), Some(key)) = (&options.tls_cert, &options.tls_key) else { return Ok(None) };
     let client_optional = options.tokens.is_some();
     let client_authority = options.client_ca.as_deref();
-    Ok(Some(acceptor(TlsFiles { certificate, key, client_authority, client_optional })?))
+    let revoked = options.client_crl.as_deref();
+    Ok(Some(acceptor(TlsFiles { certificate, key, client_authority, client_optional, revoked })?))
 }
 
 /// Announces the address: to programs on standard output, to people in the log.

@@ -263,6 +263,8 @@ struct Residuals {
   double projection = 0.0;
   /// Largest number of projection steps of a vertex.
   std::uint32_t projection_steps = 0;
+  /// Pairs of cells that pass through each other and did not in the set-up's mesh, at most 1000 (option `on_event`).
+  std::uint32_t crossing_pairs = 0;
 };
 
 /// Time that requests took on the server, in the queue and in the engine.

@@ -63,6 +63,37 @@ enum class Solver {
   Iterative
 };
 
+/// What becomes of an answer that a check finds wrong.
+enum class OnDoubt {
+  /// Refused beyond the check's second limit; a warning beyond its first.
+  Refuse = 1,
+  /// A warning only.
+  Warn
+};
+
+/// A reason to doubt a configuration or an answer.
+struct Warning {
+  /// Of a configuration `no_wake` or `left_out`; of an answer `near_pass`, `lift`, `drag`, `span_efficiency`, `stagnation` or
+  /// `circulation`.
+  std::string kind;
+  /// What is wrong, where, and the way out.
+  std::string text;
+};
+
+/// A line of edges that looks like a trailing edge, but was not taken as one.
+struct LineLeftOut {
+  /// Its vertices in order.
+  std::vector<std::uint32_t> vertices;
+  /// m.
+  double length = 0.0;
+  /// Length as seen along the flow, m.
+  double width = 0.0;
+  /// Angle by which the outward normal turns across it, degrees: the mean.
+  double turn = 0.0;
+  /// `flat`, `smooth`, `along_the_flow`, `base` or `not_named`.
+  std::string reason;
+};
+
 /// Trailing edges, where wakes leave the surface.
 struct TrailingEdges {
   /// None: bodies without lift.
@@ -92,6 +123,8 @@ struct ConfigurationOptions : CallOptions {
   std::optional<double> tolerance;
   /// Distance within which vertices become one, at their mean, m; none if absent. All arrays keep the vertices given.
   std::optional<double> merge_tolerance;
+  /// Answers that contradict themselves.
+  OnDoubt on_doubt = OnDoubt::Refuse;
 };
 
 /// Description of a configuration.
@@ -108,6 +141,12 @@ struct ConfigurationFacts {
   std::vector<std::array<std::uint32_t, 2>> trailing_edges;
   /// Vertices where a trailing edge ends on a body, across which its circulation continues.
   std::vector<std::uint32_t> roots;
+  /// For each of them the vertex at the body's aft end where its circulation leaves the body.
+  std::vector<std::uint32_t> aft_ends;
+  /// What looks like a trailing edge, but was not taken as one; the longest of each reason first.
+  std::vector<LineLeftOut> left_out;
+  /// Reasons to doubt the configuration.
+  std::vector<Warning> warnings;
   Solver solver = Solver::Automatic;
   /// Approximate peak memory of an analysis, bytes.
   std::uint64_t memory = 0;
@@ -210,6 +249,8 @@ struct Analysis {
   /// A measure of the discretisation error: lift from the pressure and on the wakes, over the lift that momentum requires for
   /// the circulation, minus one.
   double disagreement = 0.0;
+  /// Reasons to doubt the answer.
+  std::vector<Warning> warnings;
   Loads total;
   std::map<std::string, Loads> components;
   Sections sections;

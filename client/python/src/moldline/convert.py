@@ -123,6 +123,7 @@ def deformation(message: wire.DeformResponse, point: DesignPoint, known: Iterabl
         held_residual=message.residuals.held,
         projection_residual=message.residuals.projection,
         projection_steps=message.residuals.projection_steps,
+        crossing_pairs=message.residuals.crossing_pairs,
         engine_seconds=message.timings.engine_seconds,
         queue_seconds=message.timings.queue_seconds,
     )

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
 import grpc
-from google.rpc import error_details_pb2
-from grpc_status import rpc_status
+from google.protobuf.message import DecodeError
+from google.rpc import error_details_pb2, status_pb2
 
 
 @dataclass(frozen=True)
@@ -121,18 +121,30 @@ _NEVER_SENT = re.compile(
 _NO_TRUST = re.compile("CERTIFICATE_VERIFY_FAILED")
 
 
+def _sent(error: grpc.RpcError) -> status_pb2.Status | None:
+    """What the server sent with an error.
+
+    It counts whatever gRPC says beside it, which may be otherwise where a deadline passes at both ends at once.
+    """
+    for key, value in error.trailing_metadata() or ():
+        if key == "grpc-status-details-bin":
+            with suppress(DecodeError):
+                return status_pb2.Status.FromString(value)
+    return None
+
+
 def from_rpc(error: grpc.RpcError) -> MoldlineError:
     """The exception for a failed call, with the details that the server sent."""
     violations: list[FieldViolation] = []
     retry_after = None
-    status = rpc_status.from_call(error)
+    status = _sent(error)
     for detail in status.details if status is not None else ():
         bad_request, retry = error_details_pb2.BadRequest(), error_details_pb2.RetryInfo()
         if detail.Unpack(bad_request):
             violations += [FieldViolation(fault.field, fault.description) for fault in bad_request.field_violations]
         elif detail.Unpack(retry):
             retry_after = retry.retry_delay.ToTimedelta().total_seconds()
-    message = error.details() or error.code().name
+    message = (status and status.message) or error.details() or error.code().name
     translation = _CLASSES.get(error.code(), InternalError)(message, tuple(violations), retry_after)
     # A server sends details with every error; without them it is the error of this side, or of a proxy.
     if isinstance(translation, Unavailable) and status is None:

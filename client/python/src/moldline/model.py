@@ -152,6 +152,8 @@ class Deformation(ByContent):
     projection_residual: float
     #: Largest number of projection steps of a vertex.
     projection_steps: int
+    #: Pairs of cells that pass through each other and did not in the set-up's mesh, at most 1000 (option `on_event`).
+    crossing_pairs: int
     #: Seconds in the engine.
     engine_seconds: float = field(compare=False)
     #: Seconds in the queue.

@@ -10,7 +10,7 @@ use crate::{
 
 use super::{
     Analysis, AnalysisPoint, At, Cell, Coefficients, ConfigurationFacts, ConfigurationOptions, IndexGroups,
-    Loads, Reference, Sections, Solver, Symmetry, TrailingEdges, Wind,
+    LineLeftOut, Loads, OnDoubt, Reference, Sections, Solver, Symmetry, TrailingEdges, Warning, Wind,
 };
 
 pub fn vertices(vertices: &[Point]) -> Array {
@@ -29,6 +29,7 @@ pub fn configuration_request(
         solver: solver(options.solver).into(),
         tolerance: options.tolerance,
         merge_tolerance: options.merge_tolerance,
+        on_doubt: on_doubt(options.on_doubt).into(),
     };
     v1::CreateConfigurationRequest {
         cells: Some(index_array(cells.as_flattened(), &[cells.len(), 4])),
@@ -65,6 +66,22 @@ fn solver(solver: Solver) -> v1::PanelSolver {
     }
 }
 
+fn on_doubt(on_doubt: OnDoubt) -> v1::PanelOnDoubt {
+    match on_doubt {
+        OnDoubt::Refuse => v1::PanelOnDoubt::Unspecified,
+        OnDoubt::Warn => v1::PanelOnDoubt::Warn,
+    }
+}
+
+fn warnings(messages: Vec<v1::PanelWarning>) -> Vec<Warning> {
+    messages.into_iter().map(|v1::PanelWarning { kind, text }| Warning { kind, text }).collect()
+}
+
+fn left_out(message: v1::LineLeftOut) -> Result<LineLeftOut, Error> {
+    let v1::LineLeftOut { vertices, length, width, turn, reason } = message;
+    Ok(LineLeftOut { vertices: indices(vertices.as_ref())?, length, width, turn, reason })
+}
+
 fn trailing_edges(edges: &TrailingEdges) -> v1::TrailingEdges {
     use v1::trailing_edges::Rule;
     let rule = match edges {
@@ -92,6 +109,10 @@ pub fn facts(message: Option<v1::Configuration>) -> Result<ConfigurationFacts, E
         symmetric: message.symmetric,
         trailing_edges: index_pairs(message.trailing_edges.as_ref())?,
         roots: indices(message.roots.as_ref())?,
+        // Absent in answers of older servers.
+        aft_ends: message.aft_ends.as_ref().map_or(Ok(Vec::new()), |array| indices(Some(array)))?,
+        left_out: message.left_out.into_iter().map(left_out).collect::<Result<_, _>>()?,
+        warnings: warnings(message.warnings),
         memory: message.memory_bytes,
         components: message.components,
     })
@@ -143,6 +164,7 @@ pub fn analyses(answer: v1::Analysis, points: Vec<AnalysisPoint>) -> Result<Vec<
             coefficients: flow.coefficients.unwrap_or_default().into(),
             wake_lift: flow.wake_lift,
             disagreement: flow.disagreement,
+            warnings: warnings(flow.warnings),
             cp: pressures(flow.cp.as_ref())?,
             vertex_cp: pressures(flow.vertex_cp.as_ref())?,
             total: loads(&flow.total.unwrap_or_default())?,

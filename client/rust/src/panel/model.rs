@@ -40,6 +40,40 @@ pub enum Solver {
     Iterative,
 }
 
+/// What becomes of an answer that a check finds wrong.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum OnDoubt {
+    /// Refused beyond the check's second limit; a warning beyond its first.
+    #[default]
+    Refuse,
+    /// A warning only.
+    Warn,
+}
+
+/// A reason to doubt a configuration or an answer.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Warning {
+    /// Of a configuration `no_wake` or `left_out`; of an answer `near_pass`, `lift`, `drag`, `span_efficiency`, `stagnation` or `circulation`.
+    pub kind: String,
+    /// What is wrong, where, and the way out.
+    pub text: String,
+}
+
+/// A line of edges that looks like a trailing edge, but was not taken as one.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LineLeftOut {
+    /// Its vertices in order.
+    pub vertices: Vec<u32>,
+    /// Length, m.
+    pub length: f64,
+    /// Length as seen along the flow, m.
+    pub width: f64,
+    /// Angle by which the outward normal turns across it, degrees: the mean.
+    pub turn: f64,
+    /// `flat`, `smooth`, `along_the_flow`, `base` or `not_named`.
+    pub reason: String,
+}
+
 /// Trailing edges, where wakes leave the surface.
 #[derive(Clone, Debug, PartialEq)]
 pub enum TrailingEdges {
@@ -78,6 +112,8 @@ pub struct ConfigurationOptions {
     pub tolerance: Option<f64>,
     /// Distance within which vertices become one, at their mean, m; none if absent. All arrays keep the vertices given.
     pub merge_tolerance: Option<f64>,
+    /// What becomes of answers that contradict themselves.
+    pub on_doubt: OnDoubt,
 }
 
 /// Description of a configuration.
@@ -97,6 +133,12 @@ pub struct ConfigurationFacts {
     pub trailing_edges: Vec<[u32; 2]>,
     /// Vertices where a trailing edge ends on a body, across which its circulation continues.
     pub roots: Vec<u32>,
+    /// For each of them the vertex at the body's aft end where its circulation leaves the body.
+    pub aft_ends: Vec<u32>,
+    /// What looks like a trailing edge, but was not taken as one; the longest of each reason first.
+    pub left_out: Vec<LineLeftOut>,
+    /// Reasons to doubt the configuration.
+    pub warnings: Vec<Warning>,
     /// Solver of the linear system.
     pub solver: Solver,
     /// Approximate peak memory of an analysis, bytes.
@@ -255,6 +297,8 @@ pub struct Analysis {
     /// A measure of the discretisation error: lift from the pressure and on the wakes, over the lift that momentum requires
     /// for the circulation, minus one.
     pub disagreement: f64,
+    /// Reasons to doubt the answer.
+    pub warnings: Vec<Warning>,
     /// Loads on the whole surface.
     pub total: Loads,
     /// Loads on each part, by name.

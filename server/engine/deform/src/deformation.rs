@@ -26,6 +26,9 @@ pub struct Deformation {
     pub projection_residual: f64,
     /// Most projection steps that a vertex took.
     pub projection_steps: usize,
+    /// Pairs of cells that pass through each other and did not in the set-up's mesh (at most 1000); a cell that meets its own mirror image is a pair
+    /// with itself.
+    pub crossings: Vec<[u32; 2]>,
 }
 
 impl Setup {
@@ -58,7 +61,7 @@ impl Setup {
     /// The deformed mesh of a state, with its quality.
     ///
     /// # Errors
-    /// [`DeformError::Held`] if a constraint is not kept.
+    /// [`DeformError::Held`] if a constraint is not kept, [`DeformError::Collision`] if cells pass through each other; cancelled.
     pub(crate) fn measure(
         &self,
         state: State,
@@ -67,6 +70,8 @@ impl Setup {
         let locations: Vec<Location> = state.smoothed().iter().map(|p| p.location).collect();
         let State { bodies, seams, projected, functions, .. } = state;
         let held_residual = self.constraints.residual(&projected.vertices, &bodies)?;
+        let names = |component: u32| self.components[component as usize].name().to_owned();
+        let crossings = self.collisions.find(&projected.vertices, names, monitor)?;
         let (cell_quality, quality) = self.quality(&projected.vertices, &locations, &bodies);
         monitor.progress(Stage::Quality, 1.0);
         Ok(Deformation {
@@ -76,6 +81,7 @@ impl Setup {
             cell_quality,
             seam_residual: seams.iter().map(|p| p.residual).fold(0.0, f64::max),
             held_residual,
+            crossings,
             projection_residual: projected.residual,
             projection_steps: projected.most_steps(),
             vertices: projected.vertices,

@@ -492,6 +492,28 @@ pub enum DeformError {
         /// The first ones, with their last distance.
         worst: Vec<VertexDistance>,
     },
+    /// Cells pass through each other.
+    #[error(
+        "{count} pairs of cells pass through each other, and did not in the set-up's mesh; the first at {position:.4?} m: {} \
+         (vertices {vertices:?}); take a smaller step, or set `on_event` to `report` or `ignore`",
+        match (cells, components) {
+            ([one, two], _) if one == two => format!("cells[{one}] and its mirror image"),
+            ([one, two], [a, b]) if a == b => format!("cells[{one}] and cells[{two}] of `{a}`"),
+            ([one, two], [a, b]) => format!("cells[{one}] of `{a}` and cells[{two}] of `{b}`"),
+        }
+    )]
+    Collision {
+        /// How many pairs, at most 1000.
+        count: usize,
+        /// The first pair; a cell and its mirror image have one index.
+        cells: [u32; 2],
+        /// The components on which they lie.
+        components: [String; 2],
+        /// Their vertices.
+        vertices: Vec<u32>,
+        /// Where the first vertex is, m.
+        position: [f64; 3],
+    },
     /// A seed of the adjoint does not fit the set-up.
     #[error("seeds[{index}] has {found} {what}, the set-up has {expected}")]
     SeedSize {
@@ -567,7 +589,8 @@ impl Failure for DeformError {
             Self::SeamLost { .. }
             | Self::NotProjected { .. }
             | Self::Held { .. }
-            | Self::FootPoint { .. } => Class::Computation,
+            | Self::FootPoint { .. }
+            | Self::Collision { .. } => Class::Computation,
             Self::Cancelled => Class::Cancelled,
         }
     }
@@ -586,7 +609,8 @@ impl Failure for DeformError {
             Self::SeamLost { .. }
             | Self::NotProjected { .. }
             | Self::Held { .. }
-            | Self::FootPoint { .. } => "design".to_owned(),
+            | Self::FootPoint { .. }
+            | Self::Collision { .. } => "design".to_owned(),
             Self::SeedSize { index, what, .. } => format!("{what}[{index}]"),
         })
     }

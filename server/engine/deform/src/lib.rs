@@ -13,6 +13,7 @@
 mod bodies;
 pub mod chain;
 pub mod chart;
+mod collisions;
 mod constraints;
 mod deformation;
 mod error;
@@ -41,7 +42,7 @@ pub use linearisation::{Gradient, Linearisation, Stages, Tangent};
 pub use moldline_foundation::{Monitor, NoMonitor};
 pub use moldline_geometry::Location;
 pub use moldline_rbf::{Factors, Kernel};
-pub use options::{Options, OuterMoldLine, Propagation, SeamOptions, SmoothingOptions};
+pub use options::{OnEvent, Options, OuterMoldLine, Propagation, SeamOptions, SmoothingOptions};
 pub use ownership::{Attachment, Freedom, OwnershipParts};
 pub use report::{ComponentSummary, FieldSummary, ProtectedSummary, SetupReport};
 pub use setup::{Derived, FoundSeams, Setup, SetupInput};

@@ -64,6 +64,19 @@ impl Default for SmoothingOptions {
     }
 }
 
+/// What is done about an event that a deformation brings: components that come to cross where they did not, or a surface that passes through
+/// itself.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum OnEvent {
+    /// The design is refused.
+    #[default]
+    Refuse,
+    /// The answer says so.
+    Report,
+    /// Nothing looks for it.
+    Ignore,
+}
+
 /// The choices of a set-up. Lengths are relative to the reference length (the diagonal of the bounding box of
 /// the mesh) unless a field says metres, so that nothing depends on the unit of length.
 #[derive(Clone, Debug, PartialEq)]
@@ -95,6 +108,8 @@ pub struct Options {
     pub protected_groups: Vec<String>,
     /// Vertex groups that stay where they are in space.
     pub stationary_groups: Vec<String>,
+    /// What is done about collisions.
+    pub on_event: OnEvent,
     /// The seam search.
     pub seam: SeamOptions,
     /// Smoothing after the field.
@@ -121,6 +136,7 @@ impl Default for Options {
             symmetric: None,
             protected_groups: Vec::new(),
             stationary_groups: Vec::new(),
+            on_event: OnEvent::default(),
             seam: SeamOptions::default(),
             smoothing: SmoothingOptions::default(),
             projection_steps: 20,

@@ -24,6 +24,7 @@ use crate::{
         },
         smoothing::Smoothing,
     },
+    collisions::Collisions,
     constraints::{Constraints, in_groups},
     error::Source,
     fit::misfit,
@@ -110,6 +111,7 @@ pub struct Setup {
     pub(crate) chain: Chain,
     pub(crate) constraints: Constraints,
     pub(crate) inspection: Inspection,
+    pub(crate) collisions: Collisions,
     report: SetupReport,
 }
 
@@ -276,6 +278,7 @@ impl Setup {
         };
         let constraints = Constraints::new(&stationary, ownership.clone(), options.seam.polish, tolerance);
         let inspection = Inspection::new(&mesh, &ownership, &reference, &derived.middles);
+        let collisions = Collisions::new(options.on_event, &mesh, &ownership, symmetry.half());
         let report = SetupReport::new(Findings {
             mesh: &mesh,
             topology: &topology,
@@ -312,6 +315,7 @@ impl Setup {
             chain,
             constraints,
             inspection,
+            collisions,
             report,
         })
     }

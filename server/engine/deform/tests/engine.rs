@@ -325,3 +325,57 @@ fn a_protected_vertex_on_a_seam_is_named() {
     let SetupError::HeldSeam { vertex, .. } = &error else { panic!("{error}") };
     assert_eq!(*vertex, seam);
 }
+
+/// Two unit balls, 3 m apart, of which the first can be moved along x.
+fn balls(on_event: &str) -> Setup {
+    let ball = moldline_testing::sphere(6);
+    let count = ball.vertices.len() as u32;
+    let shifted = ball.vertices.iter().map(|x| [x[0] + 3.0, x[1], x[2]]);
+    let vertices: Vec<[f64; 3]> = ball.vertices.iter().copied().chain(shifted).collect();
+    let own = ball.cells.iter().map(|cell| cell.vertices().to_vec());
+    let others = ball.cells.iter().map(|cell| cell.vertices().iter().map(|v| v + count).collect());
+    let cells: Vec<Vec<u32>> = own.chain(others).collect();
+    let document = format!(
+        r#"{{
+            "format": 1,
+            "mesh": {{ "vertices": {vertices:?}, "cells": {cells:?} }},
+            "components": [
+                {{ "name": "one", "primitive": {{ "type": "sphere", "center": [0, 0, 0], "radius": 1 }} }},
+                {{ "name": "two", "primitive": {{ "type": "sphere", "center": [3, 0, 0], "radius": 1 }} }}
+            ],
+            "parameterisation": {{
+                "variables": [{{ "name": "x", "unit": "m", "lower": -1, "upper": 4 }}],
+                "operations": [
+                    {{ "type": "translation", "components": ["one"], "direction": [1, 0, 0], "variable": "x" }}
+                ]
+            }},
+            "options": {{ "on_event": "{on_event}" }}
+        }}"#
+    );
+    let folder = std::env::temp_dir().join(format!("moldline-balls-{on_event}-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    std::fs::write(folder.join("setup.json"), document).unwrap();
+    let (files, setup_file) = read_folder(&folder, &Limits::default()).unwrap();
+    std::fs::remove_dir_all(&folder).unwrap();
+    build(read_setup(&files, Some(&setup_file), &Limits::default()).unwrap()).unwrap()
+}
+
+/// A body is moved into another, and until both coincide.
+#[test]
+fn collisions_are_refused_reported_or_ignored() {
+    let [refusing, reporting, ignoring] = ["refuse", "report", "ignore"].map(balls);
+    for (x, meets) in [(-1.0, false), (0.9, false), (1.1, true), (2.0, true), (3.0, true)] {
+        match deform(&refusing, &[("x", x)]) {
+            Ok(_) => assert!(!meets, "{x}"),
+            Err(DeformError::Collision { components, vertices, position, count, .. }) => {
+                assert!(meets && count > 0 && vertices.len() >= 6, "{x}");
+                assert_eq!(components, ["one", "two"]);
+                assert!((1.0..=4.0).contains(&position[0]), "{position:?}");
+            }
+            Err(other) => panic!("{x}: {other}"),
+        }
+        let crossings = |setup: &Setup| deform(setup, &[("x", x)]).unwrap().crossings.len();
+        assert_eq!(crossings(&reporting) > 0, meets, "{x}");
+        assert_eq!(crossings(&ignoring), 0);
+    }
+}

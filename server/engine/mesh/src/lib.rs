@@ -22,6 +22,7 @@
 //! ```
 
 pub mod cracks;
+pub mod crossing;
 pub mod graph;
 mod grid;
 pub mod io;
@@ -35,6 +36,7 @@ pub mod quality;
 pub mod symmetry;
 pub mod topology;
 
+pub use crossing::Crossings;
 pub use graph::{graph_distance, nearest_source, nearest_sources};
 pub use laplacian::Laplacian;
 pub use mesh::{Cell, Group, Limits, MeshError, SurfaceMesh};

@@ -75,13 +75,15 @@ pub struct Limits {
     pub cells: usize,
     /// Number of cell groups, and of vertex groups.
     pub groups: usize,
+    /// Bytes of a group's name.
+    pub name: usize,
     /// Absolute value of a coordinate.
     pub coordinate: f64,
 }
 
 impl Default for Limits {
     fn default() -> Self {
-        Self { vertices: 20_000_000, cells: 20_000_000, groups: 10_000, coordinate: 1e12 }
+        Self { vertices: 20_000_000, cells: 20_000_000, groups: 10_000, name: 256, coordinate: 1e12 }
     }
 }
 
@@ -148,6 +150,20 @@ pub enum MeshError {
         /// Index of the first.
         first: usize,
     },
+    /// The name of a group is too long.
+    #[error(
+        "the name of a {kind} group has {length} bytes, more than the limit of {limit}; it begins with `{start}`"
+    )]
+    LongName {
+        /// `cell` or `vertex`.
+        kind: &'static str,
+        /// Its first characters.
+        start: String,
+        /// Its length, bytes.
+        length: usize,
+        /// Largest length allowed.
+        limit: usize,
+    },
     /// A group names a cell or vertex that does not exist.
     #[error("{kind} group `{group}`: indices[{position}] = {index} is outside 0..{count}")]
     GroupIndexOutOfRange {
@@ -180,9 +196,9 @@ impl Failure for MeshError {
             Self::VertexOutOfRange { cell, corner, .. } => format!("cells[{cell}][{corner}]"),
             Self::RepeatedVertex { cell, .. } => format!("cells[{cell}]"),
             Self::UnusedVertices { first, .. } => format!("vertices[{first}]"),
-            Self::GroupIndexOutOfRange { kind, .. } | Self::DuplicateGroup { kind, .. } => {
-                format!("{kind}_groups")
-            }
+            Self::GroupIndexOutOfRange { kind, .. }
+            | Self::DuplicateGroup { kind, .. }
+            | Self::LongName { kind, .. } => format!("{kind}_groups"),
         })
     }
 }
@@ -268,8 +284,8 @@ impl SurfaceMesh {
             let count = used.iter().filter(|used| !**used).count();
             return Err(MeshError::UnusedVertices { count, first });
         }
-        check_groups("cell", &self.cell_groups, self.cells.len(), limits.groups)?;
-        check_groups("vertex", &self.vertex_groups, self.vertices.len(), limits.groups)
+        check_groups("cell", &self.cell_groups, self.cells.len(), limits)?;
+        check_groups("vertex", &self.vertex_groups, self.vertices.len(), limits)
     }
 
     /// The cell group of that name.
@@ -305,13 +321,24 @@ fn check_count(what: &'static str, count: usize, limit: usize) -> Result<(), Mes
     }
 }
 
-fn check_groups(kind: &'static str, groups: &[Group], count: usize, limit: usize) -> Result<(), MeshError> {
+fn check_groups(
+    kind: &'static str,
+    groups: &[Group],
+    count: usize,
+    limits: &Limits,
+) -> Result<(), MeshError> {
+    let limit = limits.groups;
     if groups.len() > limit {
         let what = if kind == "cell" { "cell groups" } else { "vertex groups" };
         return Err(MeshError::TooMany { what, count: groups.len(), limit });
     }
     let mut names = std::collections::HashSet::new();
     for group in groups {
+        let (length, limit) = (group.name.len(), limits.name);
+        if length > limit {
+            let start = group.name.chars().take(32).collect();
+            return Err(MeshError::LongName { kind, start, length, limit });
+        }
         if !names.insert(group.name.as_str()) {
             return Err(MeshError::DuplicateGroup { kind, group: group.name.clone() });
         }

@@ -288,7 +288,7 @@ proptest! {
             let index = index.index(bytes.len());
             bytes[index] = value;
         }
-        let tight = Limits { vertices: 1000, cells: 1000, groups: 100, coordinate: 1e6 };
+        let tight = Limits { vertices: 1000, cells: 1000, groups: 100, name: 256, coordinate: 1e6 };
         let read = match which {
             0..4 => msh::read(&bytes, &tight),
             4..17 => vtu::read(&bytes, &tight),
@@ -356,4 +356,29 @@ fn large_files_are_read_through() {
     }
     ascii.push_str("endsolid\n");
     assert_eq!(stl::read(ascii.as_bytes(), 1e-9, &limits()).unwrap().mesh.cells.len(), mesh.cells.len());
+}
+
+/// What zlib makes of a file is known before it is made, for points, cells and every group.
+#[test]
+fn what_compressed_files_become_is_announced() {
+    let limits = Limits::default();
+    let plain = include_bytes!("fixtures/box_binary_zlib_base64_32_le.vtu");
+    let small = vtu::inflated(plain, &limits);
+    let mesh = vtu::read(plain, &limits).unwrap().mesh;
+    assert!(small >= (48 * mesh.vertices.len() + 16 * mesh.cells.len()) as u64);
+    assert_eq!(vtu::inflated(include_bytes!("fixtures/box_appended_plain_raw_32_le.vtu"), &limits), 0);
+    let announced = |points: &str, cells: &str, groups: usize| {
+        let group = "<DataArray type=\"UInt8\" Name=\"group:g\" format=\"appended\" offset=\"0\"/>";
+        let text = format!(
+            "<VTKFile type=\"UnstructuredGrid\" byte_order=\"LittleEndian\" header_type=\"UInt64\" \
+             compressor=\"vtkZLibDataCompressor\"><Piece NumberOfPoints=\"{points}\" NumberOfCells=\"{cells}\"><PointData>{}\
+             </PointData></Piece></VTKFile>",
+            group.repeat(groups)
+        );
+        vtu::inflated(text.as_bytes(), &limits)
+    };
+    assert_eq!(announced("1000", "0", 100) - announced("1000", "0", 0), 4 * 1000 * 100);
+    assert!(
+        announced("18446744073709551615", "18446744073709551615", 1000) > 4 * 1000 * limits.vertices as u64
+    );
 }

@@ -1,8 +1,10 @@
 //! Clusters of panels that lie near each other, by bisection.
 
+use std::ops::Range;
+
 use moldline_mesh::Vector3;
 
-/// Halves a set of panels across its longest extent until no part has more than `most`.
+/// Halves a set of panels across its longest extent until no part has more than `most`. All parts but one are full.
 pub(crate) fn bisect(mut set: Vec<u32>, centres: &[Vector3], most: usize, out: &mut Vec<Vec<u32>>) {
     if set.len() <= most {
         set.sort_unstable();
@@ -15,37 +17,45 @@ pub(crate) fn bisect(mut set: Vec<u32>, centres: &[Vector3], most: usize, out: &
     set.sort_unstable_by(|i, j| {
         centres[*i as usize][axis].total_cmp(&centres[*j as usize][axis]).then(i.cmp(j))
     });
-    let rest = set.split_off(set.len() / 2);
+    let parts = set.len().div_ceil(most);
+    let rest = set.split_off(parts / 2 * most);
     bisect(set, centres, most, out);
     bisect(rest, centres, most, out);
 }
 
-/// Panels of a patch at most.
+/// Elements of a patch, and panels of a group, at most.
 pub(crate) const PATCH: usize = 32;
 
-/// A cluster of panels: all patches together are the surface. Loops over pairs go patch by patch, so that what they need stays in the
-/// cache.
+/// A cluster of elements. All patches together are the surface, and patch after patch the elements have places in that order. Loops over pairs go patch by
+/// patch, so that what they need stays in the cache.
 #[derive(Clone, Debug)]
 pub(crate) struct Patch {
-    pub panels: Vec<u32>,
-    /// Nodes of the panels.
+    /// Places of its elements.
+    pub places: Range<usize>,
+    /// Nodes of the elements' panels.
     pub nodes: Vec<u32>,
-    /// Nodes at the corners of the panels, as places in `nodes`.
-    pub places: Vec<[u32; 4]>,
+    /// Those at the corners of every element's panel, as indices of `nodes`.
+    pub corners: Vec<[u32; 4]>,
 }
 
 impl Patch {
-    /// Cuts panels into patches. `centres` and `corners` are the panels', the latter as nodes.
-    pub fn cut(centres: &[Vector3], corners: &[[u32; 4]]) -> Vec<Self> {
+    /// Cuts elements into patches: the element at every place, and the patches. `centres` and `corners` are the elements', the latter as nodes of their
+    /// panels.
+    pub fn cut(centres: &[Vector3], corners: &[[u32; 4]]) -> (Vec<u32>, Vec<Self>) {
         let mut sets = Vec::new();
         bisect((0..corners.len() as u32).collect(), centres, PATCH, &mut sets);
-        let patch = |panels: Vec<u32>| {
-            let mut nodes: Vec<u32> = panels.iter().flat_map(|p| corners[*p as usize]).collect();
+        let mut order = Vec::with_capacity(corners.len());
+        let patch = |elements: Vec<u32>| {
+            let mut nodes: Vec<u32> = elements.iter().flat_map(|e| corners[*e as usize]).collect();
             nodes.sort_unstable();
             nodes.dedup();
-            let place = |node: u32| nodes.partition_point(|n| *n < node) as u32;
-            Self { places: panels.iter().map(|p| corners[*p as usize].map(place)).collect(), panels, nodes }
+            let index = |node: u32| nodes.partition_point(|n| *n < node) as u32;
+            let corners = elements.iter().map(|e| corners[*e as usize].map(index)).collect();
+            let places = order.len()..order.len() + elements.len();
+            order.extend(elements);
+            Self { places, corners, nodes }
         };
-        sets.into_iter().map(patch).collect()
+        let patches = sets.into_iter().map(patch).collect();
+        (order, patches)
     }
 }

@@ -4,6 +4,28 @@ use moldline_foundation::{Class, Failure, Outside, short};
 use moldline_mesh::MeshError;
 use thiserror::Error;
 
+use crate::{LeftOut, TrailingEdges, Warning};
+
+/// How a rule finds trailing edges.
+fn found_by(rule: &TrailingEdges) -> String {
+    match rule {
+        TrailingEdges::None => "by no rule".to_owned(),
+        TrailingEdges::Angle { degrees } => {
+            format!("where the surface turns by {degrees} degrees or more and the flow runs off both sides")
+        }
+        TrailingEdges::Groups(names) => format!("in the vertex groups {names:?}"),
+        TrailingEdges::Edges(_) => "in the list of edges".to_owned(),
+    }
+}
+
+/// The longest of the lines that were left out.
+fn but_left_out(lines: &[LeftOut]) -> String {
+    let Some(longest) = lines.iter().max_by(|one, two| one.line.length.total_cmp(&two.line.length)) else {
+        return String::new();
+    };
+    format!(" (lines left out: {}; the longest: {}: {})", lines.len(), longest.line, longest.reason)
+}
+
 /// An error of the panel method.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum PanelError {
@@ -116,10 +138,17 @@ pub enum PanelError {
     #[error("the mesh is not symmetric about y = 0: {0}")]
     NotSymmetric(String),
     /// No edge is a trailing edge.
-    #[error("no trailing edge is found {how}; a body without lift needs `TrailingEdges::None`")]
+    #[error(
+        "no trailing edge is found {}{}; name its edges or a vertex group of it, ask for another angle, or say that the body has no trailing \
+         edges",
+        found_by(rule),
+        but_left_out(left_out)
+    )]
     NoTrailingEdge {
         /// By which rule.
-        how: String,
+        rule: TrailingEdges,
+        /// What looks like a trailing edge.
+        left_out: Vec<LeftOut>,
     },
     /// A pair of vertices that is not an edge with two cells.
     #[error("trailing_edges[{index}] = {edge:?} is not an edge between two cells")]
@@ -151,7 +180,7 @@ pub enum PanelError {
     },
     /// A wake that passes through a cell.
     #[error(
-        "the wake of trailing edge {edge:?} cuts cells[{cell}] at x = {x} m; move the surfaces apart (wakes run straight along x)"
+        "the wake of trailing edge {edge:?} meets cells[{cell}] at x = {x} m; move the surfaces apart (wakes run straight along x)"
     )]
     WakeCutsBody {
         /// Vertices of the trailing edge.
@@ -175,6 +204,12 @@ pub enum PanelError {
         /// The cell.
         cell: u32,
     },
+    /// The answer contradicts itself.
+    #[error(
+        "the answer is wrong: {}; check the mesh and its trailing edges, or ask for warnings instead (`on_doubt`)",
+        .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("; ")
+    )]
+    Doubtful(Vec<Warning>),
     /// More memory than allowed.
     #[error("{unknowns} unknowns need {needed} bytes, the limit is {limit}; {advice}")]
     Memory {
@@ -213,6 +248,15 @@ pub enum PanelError {
         /// The tolerance.
         tolerance: f64,
     },
+    /// Results beyond the range of double precision.
+    #[error(
+        "{what} would be infinite or not a number; reference values, directions or seeds are too large or too \
+         small (products are linear in them, so scale them), or nothing depends on the angle of attack"
+    )]
+    Overflow {
+        /// The part of the result.
+        what: &'static str,
+    },
     /// The monitor has cancelled the computation.
     #[error("cancelled")]
     Cancelled,
@@ -228,7 +272,9 @@ impl Failure for PanelError {
             | Self::WakeCutsBody { .. }
             | Self::Gradient { .. }
             | Self::Singular { .. }
-            | Self::NotConverged { .. } => Class::Computation,
+            | Self::NotConverged { .. }
+            | Self::Overflow { .. }
+            | Self::Doubtful(_) => Class::Computation,
             Self::Memory { .. } => Class::Memory,
             Self::Cancelled => Class::Cancelled,
             _ => Class::Input,
@@ -238,7 +284,7 @@ impl Failure for PanelError {
     fn field(&self) -> Option<String> {
         Some(match self {
             Self::Mesh(error) => return error.field(),
-            Self::Memory { .. } | Self::Cancelled => return None,
+            Self::Memory { .. } | Self::Overflow { .. } | Self::Cancelled => return None,
             Self::UnknownGroup { field, .. } => format!("options.{field}"),
             Self::OutOfRange { field, .. } | Self::Length { field, .. } => field.clone(),
             Self::Open { cell, .. } | Self::Inwards { cell, .. } => format!("cells[{cell}]"),
@@ -259,7 +305,8 @@ impl Failure for PanelError {
             | Self::WakeCutsBody { .. }
             | Self::Gradient { .. }
             | Self::Singular { .. }
-            | Self::NotConverged { .. } => "vertices".to_owned(),
+            | Self::NotConverged { .. }
+            | Self::Doubtful(_) => "vertices".to_owned(),
         })
     }
 }

@@ -8,7 +8,7 @@ use moldline_mesh::Vector3;
 
 use crate::{
     Flow, Monitor, PanelError, Scalars, Solution, Stage,
-    bounds::finite,
+    bounds::{finite, results},
     coefficients,
     distributions::{self, Distributions},
     flow::FlowChange,
@@ -50,6 +50,22 @@ pub struct Inputs {
     pub point: [f64; 3],
 }
 
+impl Outputs {
+    fn check(&self) -> Result<(), PanelError> {
+        results("coefficients", self.scalars.to_array())?;
+        results("section_loads", self.sections.iter().copied())?;
+        results("cp", self.cp.iter().copied())
+    }
+}
+
+impl Inputs {
+    fn check(&self) -> Result<(), PanelError> {
+        results("vertices", self.vertices.as_flattened().iter().copied())?;
+        results("the flow's part", [self.alpha, self.sideslip, self.mach, self.area, self.chord])?;
+        results("point", self.point)
+    }
+}
+
 /// The derivative of an analysis. Products solve with the solution's factors.
 #[derive(Clone, Debug)]
 pub struct Linearisation {
@@ -82,7 +98,8 @@ impl Linearisation {
     /// The changes of the outputs in several directions.
     ///
     /// # Errors
-    /// [`PanelError::Length`] or [`PanelError::OutOfRange`] for directions of the wrong length or not finite; cancelled; not converged.
+    /// [`PanelError::Length`] or [`PanelError::OutOfRange`] for directions of the wrong length or not finite; cancelled; not
+    /// converged; [`PanelError::Overflow`].
     pub fn jvp(
         &self,
         directions: &[Inputs],
@@ -96,6 +113,7 @@ impl Linearisation {
                 AnyState::Full(state) => self.block_jvp(state, block, monitor)?,
             });
         }
+        out.iter().try_for_each(Outputs::check)?;
         Ok(out)
     }
 
@@ -112,6 +130,7 @@ impl Linearisation {
                 AnyState::Full(state) => self.block_vjp(state, block, monitor)?,
             });
         }
+        out.iter().try_for_each(Inputs::check)?;
         Ok(out)
     }
 

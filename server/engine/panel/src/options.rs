@@ -1,5 +1,7 @@
 //! Options of a set-up, chosen once for a mesh.
 
+use crate::OnDoubt;
+
 /// Choices of a set-up.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {
@@ -13,6 +15,8 @@ pub struct Options {
     pub solver: Solver,
     /// Residual of the solution, relative to the right-hand side.
     pub tolerance: f64,
+    /// What becomes of an answer that contradicts itself.
+    pub on_doubt: OnDoubt,
     /// Limit on the memory of a solution, bytes.
     pub memory_limit: u64,
 }
@@ -25,6 +29,7 @@ impl Default for Options {
             components: None,
             solver: Solver::Automatic,
             tolerance: 1e-12,
+            on_doubt: OnDoubt::Refuse,
             memory_limit: 4 << 30,
         }
     }
@@ -53,7 +58,7 @@ pub enum TrailingEdges {
     Edges(Vec<[u32; 2]>),
     /// Edges with both vertices in one of these vertex groups, between cells whose normals differ by 60 degrees or more.
     Groups(Vec<String>),
-    /// Edges across which the outward normal turns by at least so much, and that point downstream.
+    /// Edges across which the outward normal turns by at least so much, and off both sides of which the flow runs.
     Angle {
         /// Degrees, between 60 and 180.
         degrees: f64,

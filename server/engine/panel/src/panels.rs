@@ -167,6 +167,11 @@ impl Panels {
         if self.is_triangle(panel) { [1.0 / 3.0, 1.0 / 3.0, 1.0 / 3.0, 0.0] } else { [0.25; 4] }
     }
 
+    /// Number of a panel's sides.
+    pub fn sides(&self, panel: usize) -> usize {
+        if self.is_triangle(panel) { 3 } else { 4 }
+    }
+
     pub fn is_triangle(&self, panel: usize) -> bool {
         self.corners[panel][2] == self.corners[panel][3]
     }
@@ -174,6 +179,11 @@ impl Panels {
     /// Axes along which unit onset flows are solved.
     pub fn axes(&self) -> &'static [usize] {
         if self.symmetric { &[0, 2] } else { &[0, 1, 2] }
+    }
+
+    /// The point of a mesh vertex, if it belongs to the solved panels.
+    pub fn point_of(&self, vertex: u32) -> Option<u32> {
+        self.vertex_of.binary_search(&vertex).ok().map(|point| point as u32)
     }
 
     /// The edge between two points.

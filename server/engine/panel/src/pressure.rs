@@ -166,7 +166,6 @@ impl<const B: usize> Potentials<'_, B> {
                 let corners = &surface.corners[e];
                 let vector = area(corners);
                 let n = vector.normalize();
-                let nodes = layout.elements.list[e].of_corners(&layout.nodes.of_corner[panel]);
                 let mut corner_seeds = [Vector3::zeros(); 3];
                 let mut of_normal = Vector3::zeros();
                 for k in 0..B {
@@ -177,7 +176,9 @@ impl<const B: usize> Potentials<'_, B> {
                     of_normal += seed.cross(&circulation(corners, &values));
                     let by_corners = circulation_by_corners(&of_c, &values);
                     (0..3).for_each(|i| corner_seeds[i] += by_corners[i]);
-                    for (node, by) in nodes.iter().zip(circulation_by_values(&of_c, corners)) {
+                    let by_values =
+                        layout.elements.list[e].corner_seeds(&circulation_by_values(&of_c, corners));
+                    for (node, by) in layout.nodes.of_corner[panel].iter().zip(by_values) {
                         node_seeds[k][*node as usize] += by;
                     }
                 }

@@ -4,6 +4,14 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use crate::{Monitor, PanelError, Stage};
 
+/// Ends a loop whose steps are short, if it has been cancelled.
+///
+/// # Errors
+/// [`PanelError::Cancelled`].
+pub(crate) fn poll(monitor: &dyn Monitor<Stage>) -> Result<(), PanelError> {
+    if monitor.cancelled() { Err(PanelError::Cancelled) } else { Ok(()) }
+}
+
 /// Reports a loop makes, at most.
 const REPORTS: usize = 20;
 

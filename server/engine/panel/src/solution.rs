@@ -5,10 +5,11 @@ use std::sync::Arc;
 use moldline_mesh::Vector3;
 
 use crate::{
-    Flow, Monitor, PanelError, PanelSetup, Scalars, Stage,
-    bounds::within,
+    Flow, Monitor, NearPass, OnDoubt, PanelError, PanelSetup, Scalars, Stage, Warning,
+    bounds::{results, within},
     coefficients,
     distributions::{self, Distributions, form},
+    doubt::{self, Evidence},
     panel_setup::Component,
     state::State,
     wind::Wind,
@@ -30,6 +31,7 @@ pub struct Solution {
     pub(crate) setup: Arc<PanelSetup>,
     pub(crate) mach: f64,
     pub(crate) vertices: Vec<[f64; 3]>,
+    pub(crate) near_passes: Vec<NearPass>,
     pub(crate) state: AnyState,
 }
 
@@ -73,6 +75,8 @@ pub struct Analysis {
     /// Lift from the pressure and on the wakes over the lift that momentum demands for the circulation, less one. Zero without lift. It
     /// vanishes as the mesh is refined, and so measures the discretisation.
     pub disagreement: f64,
+    /// Reasons to doubt the answer; those to doubt the set-up are in [`crate::SetupSummary`].
+    pub warnings: Vec<Warning>,
     /// Forces of the whole.
     pub total: Loads,
     /// Forces of the components.
@@ -126,13 +130,13 @@ impl Solution {
         }
         setup.panels.check_symmetry(vertices)?;
         let points = setup.panels.gather(vertices);
-        setup.wakes.check(&setup.panels, &points)?;
+        let near_passes = setup.wakes.check(&setup.panels, &points, monitor)?;
         let state = if setup.panels.symmetric {
             AnyState::Symmetric(Box::new(State::new(&setup, &points, mach, monitor)?))
         } else {
             AnyState::Full(Box::new(State::new(&setup, &points, mach, monitor)?))
         };
-        Ok(Self { setup, mach, vertices: vertices.to_vec(), state })
+        Ok(Self { setup, mach, vertices: vertices.to_vec(), near_passes, state })
     }
 
     /// The set-up of the mesh.
@@ -161,13 +165,21 @@ impl Solution {
     ///
     /// # Errors
     /// [`PanelError::OutOfRange`] for a flow that is not finite or reference values that are not positive,
-    /// [`PanelError::Sideslip`] over a half.
+    /// [`PanelError::Sideslip`] over a half, [`PanelError::Overflow`], [`PanelError::Doubtful`] for an answer that contradicts itself, unless
+    /// the options ask for warnings only.
     pub fn analyse(&self, flow: &Flow) -> Result<Analysis, PanelError> {
         self.check_flow(flow)?;
-        Ok(match &self.state {
+        let analysis = match &self.state {
             AnyState::Symmetric(state) => self.analysis(state, flow),
             AnyState::Full(state) => self.analysis(state, flow),
-        })
+        };
+        analysis.check()?;
+        let refused: Vec<Warning> =
+            analysis.warnings.iter().filter(|w| doubt::is_refused(w)).cloned().collect();
+        if self.setup.options.on_doubt == OnDoubt::Refuse && !refused.is_empty() {
+            return Err(PanelError::Doubtful(refused));
+        }
+        Ok(analysis)
     }
 
     pub(crate) fn check_flow(&self, flow: &Flow) -> Result<(), PanelError> {
@@ -189,7 +201,7 @@ impl Solution {
         let images: &[u32] = if panels.symmetric { &everything } else { &[] };
         let total = loads("total", state, &panel_cp, &everything, images, flow, &wind);
         let component = |c: &Component| loads(&c.name, state, &panel_cp, &c.own, &c.mirrored, flow, &wind);
-        let sections = setup
+        let sections: Vec<Section> = setup
             .wakes
             .strips
             .iter()
@@ -215,7 +227,22 @@ impl Solution {
         let wake_lift = wind.lift.z * form(&state.wake_lift, &wind.w) / flow.reference.area;
         // Induced drag is along the wakes, and so a little downwards.
         let demanded = scalars.lift - scalars.induced_drag * flow.alpha.sin();
+        let copies = if panels.symmetric { 2.0 } else { 1.0 };
+        let wetted: f64 = (0..panels.len()).map(|panel| real_area(state, panel).norm()).sum();
+        let mut warnings: Vec<Warning> = self.near_passes.iter().copied().map(Warning::NearPass).collect();
+        warnings.extend(doubt::doubts(&Evidence {
+            scalars: &scalars,
+            wake_lift,
+            demanded,
+            cp: &cp,
+            sections: &sections,
+            symmetric: panels.symmetric,
+            mach: self.mach,
+            wetted: copies * wetted / flow.reference.area,
+            area: flow.reference.area,
+        }));
         Analysis {
+            warnings,
             wake_lift,
             disagreement: if scalars.lift.abs() > 1e-9 {
                 (scalars.pressure_lift + wake_lift) / demanded - 1.0
@@ -232,6 +259,25 @@ impl Solution {
             residual: state.residual,
             rounds: state.rounds,
         }
+    }
+}
+
+/// The area vector of a panel before stretching, m^2.
+fn real_area<const B: usize>(state: &State<B>, panel: usize) -> Vector3 {
+    let (a, beta) = (&state.surface.areas[panel], state.surface.beta);
+    Vector3::new(a.x, beta * a.y, beta * a.z)
+}
+
+impl Analysis {
+    /// Nothing that is not finite leaves.
+    fn check(&self) -> Result<(), PanelError> {
+        let Self { scalars, wake_lift, disagreement, total, components, sections, cp, vertex_cp, .. } = self;
+        results("coefficients", scalars.to_array().into_iter().chain([*wake_lift, *disagreement]))?;
+        let of = |loads: &Loads| loads.force.into_iter().chain(loads.moment).chain([loads.lift, loads.drag]);
+        results("loads", components.iter().chain([total]).flat_map(of))?;
+        let of = |section: &Section| section.middle.into_iter().chain(section.span).chain([section.load]);
+        results("sections", sections.iter().flat_map(of))?;
+        results("cp", cp.iter().chain(vertex_cp).copied())
     }
 }
 

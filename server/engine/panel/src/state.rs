@@ -78,8 +78,9 @@ impl<const B: usize> State<B> {
         let mut totals = Totals::zeros();
         pressure.totals(panels, &surface, &mut totals);
         totals.lift = std::array::from_fn(|k| setup.trace.lift(&surface.points, &circulations[k]));
-        totals.drag = setup.trace.drag(&surface.points, &circulations);
-        let wake_lift = wake_force::lift(panels, layout, &surface, &setup.wakes, &charges, &circulations);
+        totals.drag = setup.trace.drag(&surface.points, &circulations, monitor)?;
+        let wake_lift =
+            wake_force::lift(panels, layout, &surface, &setup.wakes, &charges, &circulations, monitor)?;
         let (residual, rounds) = (solved.residual, solved.rounds);
         Ok(Self { surface, system, charges, circulations, pressure, totals, wake_lift, residual, rounds })
     }
@@ -105,11 +106,17 @@ impl<const B: usize> State<B> {
         let influence = Influence::new(&setup.panels, &setup.layout, &self.surface);
         let residuals = influence.jvp(&self.charges, &surfaces, monitor)?;
         let d_mu = self.solve_for_minus(setup, residuals, false, monitor)?;
-        Ok(surfaces.iter().zip(d_mu).map(|(change, d_mu)| self.change(setup, change, &d_mu)).collect())
+        surfaces.iter().zip(d_mu).map(|(change, d_mu)| self.change(setup, change, &d_mu, monitor)).collect()
     }
 
     /// From changes of the surface and the unknowns to those of the flow.
-    fn change(&self, setup: &PanelSetup, change: &SurfaceChange, d_mu: &[Vec<f64>; B]) -> StateChange<B> {
+    fn change(
+        &self,
+        setup: &PanelSetup,
+        change: &SurfaceChange,
+        d_mu: &[Vec<f64>; B],
+        monitor: &dyn Monitor<Stage>,
+    ) -> Result<StateChange<B>, PanelError> {
         let (panels, surface) = (&setup.panels, &self.surface);
         let d_circulations: [Vec<f64>; B] = std::array::from_fn(|k| circulations(setup, &d_mu[k]));
         let d_nodes: [Vec<f64>; B] = std::array::from_fn(|k| setup.layout.node_values(&d_mu[k]));
@@ -120,9 +127,14 @@ impl<const B: usize> State<B> {
             let (values, changes) = (&self.circulations[k], &d_circulations[k]);
             setup.trace.lift_jvp(&surface.points, values, &change.points, changes)
         });
-        totals.drag =
-            setup.trace.drag_jvp(&surface.points, &self.circulations, &change.points, &d_circulations);
-        StateChange { circulations: d_circulations, forms, totals }
+        totals.drag = setup.trace.drag_jvp(
+            &surface.points,
+            &self.circulations,
+            &change.points,
+            &d_circulations,
+            monitor,
+        )?;
+        Ok(StateChange { circulations: d_circulations, forms, totals })
     }
 
     /// The transpose of [`jvp`](Self::jvp): the gradients of several seeds.
@@ -132,8 +144,9 @@ impl<const B: usize> State<B> {
         seeds: Vec<StateChange<B>>,
         monitor: &dyn Monitor<Stage>,
     ) -> Result<Vec<Motion>, PanelError> {
-        let (surfaces, of_mu): (Vec<SurfaceChange>, Vec<[Vec<f64>; B]>) =
-            seeds.into_iter().map(|seed| self.direct(setup, seed)).unzip();
+        let direct: Vec<_> =
+            seeds.into_iter().map(|seed| self.direct(setup, seed, monitor)).collect::<Result<_, _>>()?;
+        let (surfaces, of_mu): (Vec<SurfaceChange>, Vec<[Vec<f64>; B]>) = direct.into_iter().unzip();
         let psi = self.solve_for_minus(setup, of_mu, true, monitor)?;
         let influence = Influence::new(&setup.panels, &setup.layout, &self.surface);
         let pairs = influence.vjp(&self.charges, &psi, monitor)?;
@@ -147,7 +160,12 @@ impl<const B: usize> State<B> {
     }
 
     /// From seeds of the flow to those of the surface and the unknowns, at fixed residual.
-    fn direct(&self, setup: &PanelSetup, seed: StateChange<B>) -> (SurfaceChange, [Vec<f64>; B]) {
+    fn direct(
+        &self,
+        setup: &PanelSetup,
+        seed: StateChange<B>,
+        monitor: &dyn Monitor<Stage>,
+    ) -> Result<(SurfaceChange, [Vec<f64>; B]), PanelError> {
         let (panels, surface, trace) = (&setup.panels, &self.surface, &setup.trace);
         let nodes = &setup.layout.nodes;
         let StateChange { mut circulations, mut forms, totals } = seed;
@@ -156,7 +174,14 @@ impl<const B: usize> State<B> {
         self.pressure.totals_vjp(panels, surface, &totals, &mut forms, &mut change);
         self.potentials(setup).vjp(&self.pressure, &forms, &mut change, &mut of_nodes);
         let points = &mut change.points;
-        trace.drag_vjp(&surface.points, &self.circulations, &totals.drag, points, &mut circulations);
+        trace.drag_vjp(
+            &surface.points,
+            &self.circulations,
+            &totals.drag,
+            points,
+            &mut circulations,
+            monitor,
+        )?;
         let mut of_mu: [Vec<f64>; B] = std::array::from_fn(|_| vec![0.0; nodes.rows()]);
         for k in 0..B {
             let of_ends = &mut circulations[k];
@@ -172,7 +197,7 @@ impl<const B: usize> State<B> {
                 terms.iter().for_each(|(u, f)| of_mu[k][*u as usize] += f * *seed);
             }
         }
-        (change, of_mu)
+        Ok((change, of_mu))
     }
 
     /// `-A^-1 b`, or `-A^-T b`, for the columns b of every direction or seed.
@@ -186,7 +211,14 @@ impl<const B: usize> State<B> {
         let count = columns.len();
         let right: Vec<Vec<f64>> =
             columns.into_iter().flatten().map(|b| b.into_iter().map(|x| -x).collect()).collect();
-        let solved = self.system.solve(&right, transposed, setup.options.tolerance, monitor)?;
+        let solved = self.system.solve(&right, transposed, setup.options.tolerance, monitor);
+        let solved = solved.map_err(|error| match error {
+            // The system has been solved for the flow itself, so that it is the right-hand side that is too large.
+            PanelError::NotConverged { residual, .. } if !residual.is_finite() => {
+                PanelError::Overflow { what: "a product" }
+            }
+            error => error,
+        })?;
         let mut columns = solved.columns.into_iter();
         Ok((0..count).map(|_| std::array::from_fn(|_| columns.next().unwrap_or_default())).collect())
     }

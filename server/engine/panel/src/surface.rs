@@ -145,7 +145,7 @@ impl SurfaceChange {
     /// The changes of an element's corners.
     pub fn corners(&self, panels: &Panels, elements: &Elements, element: usize) -> [Vector3; 3] {
         let element = &elements.list[element];
-        element.of_corners(&panels.corners[element.panel as usize]).map(|v| self.points[v as usize])
+        element.of_corners(&panels.corners[element.panel as usize].map(|v| self.points[v as usize]))
     }
 
     /// Adds to the seeds of an element's corners.
@@ -157,7 +157,8 @@ impl SurfaceChange {
         seeds: &[Vector3; 3],
     ) {
         let element = &elements.list[element];
-        let points = element.of_corners(&panels.corners[element.panel as usize]);
+        let points = &panels.corners[element.panel as usize];
+        let seeds = element.corner_seeds(seeds);
         points.iter().zip(seeds).for_each(|(point, seed)| self.points[*point as usize] += seed);
     }
 

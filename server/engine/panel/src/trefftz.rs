@@ -16,7 +16,9 @@ use moldline_foundation::quadrature::GAUSS_4;
 use moldline_mesh::Vector3;
 
 use crate::{
+    Monitor, PanelError, Stage,
     panels::Panels,
+    progress::poll,
     wake::{Beside, Wakes},
 };
 
@@ -165,18 +167,23 @@ impl Trace {
     }
 
     /// The quadratic form of the drag, `drag / rho = sum_kl w_k w_l D_kl`, for the circulations of several onset flows.
-    pub fn drag<const B: usize>(&self, points: &[Vector3], circulations: &[Vec<f64>; B]) -> [[f64; B]; B] {
+    pub fn drag<const B: usize>(
+        &self,
+        points: &[Vector3],
+        circulations: &[Vec<f64>; B],
+        monitor: &dyn Monitor<Stage>,
+    ) -> Result<[[f64; B]; B], PanelError> {
         let mut out = [[0.0; B]; B];
         let gamma = self.vorticity(points, circulations);
-        self.pairs(points, |i, j, integral, _| {
+        self.pairs(points, monitor, |i, j, integral, _| {
             for k in 0..B {
                 for l in 0..B {
                     out[k][l] += gamma[i][k] * gamma[j][l] * integral;
                 }
             }
-        });
+        })?;
         // Gauss's rule outside and the closed form inside are not quite symmetric.
-        std::array::from_fn(|k| std::array::from_fn(|l| 0.5 * (out[k][l] + out[l][k])))
+        Ok(std::array::from_fn(|k| std::array::from_fn(|l| 0.5 * (out[k][l] + out[l][k]))))
     }
 
     /// The vorticity of every element, for every onset flow.
@@ -196,10 +203,16 @@ impl Trace {
     }
 
     /// Calls back with every pair's integral, times `-1/(4 pi)` and the number of images, and its gradient with respect to the ends of both.
-    fn pairs(&self, points: &[Vector3], mut each: impl FnMut(usize, usize, f64, [Plane; 4])) {
+    fn pairs(
+        &self,
+        points: &[Vector3],
+        monitor: &dyn Monitor<Stage>,
+        mut each: impl FnMut(usize, usize, f64, [Plane; 4]),
+    ) -> Result<(), PanelError> {
         let factor = -self.factor() / (4.0 * std::f64::consts::PI);
         let ends: Vec<[Plane; 2]> = self.elements(points).iter().map(|(_, ends)| *ends).collect();
         for (i, &[a, b]) in ends.iter().enumerate() {
+            poll(monitor)?;
             let d = sub(b, a);
             let length = dot(d, d).sqrt();
             let e = [d[0] / length, d[1] / length];
@@ -239,6 +252,7 @@ impl Trace {
                 each(i, j, factor * value, gradient.map(|g| g.map(|x| factor * x)));
             }
         }
+        Ok(())
     }
 
     /// The change of [`drag`](Self::drag): every entry by its gradient, of which there are few.
@@ -248,20 +262,27 @@ impl Trace {
         circulations: &[Vec<f64>; B],
         d_points: &[Vector3],
         d_circulations: &[Vec<f64>; B],
-    ) -> [[f64; B]; B] {
+        monitor: &dyn Monitor<Stage>,
+    ) -> Result<[[f64; B]; B], PanelError> {
         let entry = |k: usize, l: usize| {
             let mut seed = [[0.0; B]; B];
             seed[k][l] = 1.0;
             let mut point_seeds = vec![Vector3::zeros(); points.len()];
             let mut strip_seeds: [Vec<f64>; B] = std::array::from_fn(|k| vec![0.0; circulations[k].len()]);
-            self.drag_vjp(points, circulations, &seed, &mut point_seeds, &mut strip_seeds);
+            self.drag_vjp(points, circulations, &seed, &mut point_seeds, &mut strip_seeds, monitor)?;
             let mut sum = point_seeds.iter().zip(d_points).map(|(s, d)| s.dot(d)).sum::<f64>();
             for (seeds, change) in strip_seeds.iter().zip(d_circulations) {
                 sum += seeds.iter().zip(change).map(|(s, d)| s * d).sum::<f64>();
             }
-            sum
+            Ok::<_, PanelError>(sum)
         };
-        std::array::from_fn(|k| std::array::from_fn(|l| entry(k, l)))
+        let mut out = [[0.0; B]; B];
+        for (k, row) in out.iter_mut().enumerate() {
+            for (l, value) in row.iter_mut().enumerate() {
+                *value = entry(k, l)?;
+            }
+        }
+        Ok(out)
     }
 
     /// The transpose of [`drag_jvp`](Self::drag_jvp): adds to the seeds of points and circulations.
@@ -272,13 +293,14 @@ impl Trace {
         seed: &[[f64; B]; B],
         point_seeds: &mut [Vector3],
         circulation_seeds: &mut [Vec<f64>; B],
-    ) {
+        monitor: &dyn Monitor<Stage>,
+    ) -> Result<(), PanelError> {
         let seed: [[f64; B]; B] =
             std::array::from_fn(|k| std::array::from_fn(|l| 0.5 * (seed[k][l] + seed[l][k])));
         let gamma = self.vorticity(points, circulations);
         let mut gamma_seeds = vec![[0.0; B]; gamma.len()];
         let mut end_seeds = vec![[[0.0; 2]; 2]; gamma.len()];
-        self.pairs(points, |i, j, integral, gradient| {
+        self.pairs(points, monitor, |i, j, integral, gradient| {
             let mut weight = 0.0;
             for k in 0..B {
                 for l in 0..B {
@@ -293,7 +315,7 @@ impl Trace {
                 end_seeds[j][0][axis] += weight * gradient[2][axis];
                 end_seeds[j][1][axis] += weight * gradient[3][axis];
             }
-        });
+        })?;
         for (index, (piece, [a, b])) in self.elements(points).into_iter().enumerate() {
             let d = sub(b, a);
             let length = dot(d, d).sqrt();
@@ -313,6 +335,7 @@ impl Trace {
                 seed.z += end_seeds[index][side][1] + sign * of_length * d[1] / length;
             }
         }
+        Ok(())
     }
 }
 
@@ -326,7 +349,7 @@ mod tests {
     use num_dual::{Dual64, DualNum};
 
     use super::*;
-    use crate::{Options, PanelSetup};
+    use crate::{NoMonitor, Options, PanelSetup};
 
     /// Against the closed form in dual numbers: beside the segment, far away, near it, and near its line.
     #[test]
@@ -376,7 +399,7 @@ mod tests {
                 setup.wakes.strips.iter().flat_map(|s| [s.a, s.b]).map(gamma).collect();
             let lift = setup.trace.lift(&points, &circulation);
             let least = 2.0 * lift * lift / (std::f64::consts::PI * 64.0);
-            setup.trace.drag(&points, &[circulation])[0][0] / least - 1.0
+            setup.trace.drag(&points, &[circulation], &NoMonitor).unwrap()[0][0] / least - 1.0
         });
         // A straight line's drag is never below the least.
         assert!(excess.iter().all(|e| (0.0..0.05).contains(e)), "{excess:?}");

@@ -25,8 +25,10 @@ use moldline_mesh::Vector3;
 use rayon::prelude::*;
 
 use crate::{
+    Monitor, PanelError, Stage,
     influence::{Charges, Layout},
     panels::Panels,
+    progress::poll,
     surface::Surface,
     wake::{Beside, Wakes},
 };
@@ -38,6 +40,8 @@ const DEPTH: u32 = 8;
 /// Where vortices begin, downstream of the trailing edge, as a part of a strip's width. At the trailing edge itself the velocity has no bound on a
 /// mesh.
 const START: f64 = 0.05;
+/// Elements between two looks at the monitor: each is cut into up to `4^DEPTH` pieces.
+const POLLED: usize = 8;
 
 /// Upward force of the body on the wakes over dynamic pressure, m^2, as a form in the onset flow: both halves, in real coordinates.
 /// `charges` and `circulations` are those of the unit onset flows.
@@ -48,7 +52,8 @@ pub(crate) fn lift<const B: usize>(
     wakes: &Wakes,
     charges: &[Charges; B],
     circulations: &[Vec<f64>; B],
-) -> [[f64; B]; B] {
+    monitor: &dyn Monitor<Stage>,
+) -> Result<[[f64; B]; B], PanelError> {
     let images: &[f64] = if panels.symmetric { &[1.0, -1.0] } else { &[1.0] };
     let of_vortex = |(start, gamma): (Vector3, [f64; B])| {
         let mut force = [0.0; B];
@@ -56,6 +61,9 @@ pub(crate) fn lift<const B: usize>(
             // The image of a vortex turns the other way.
             let from = Vector3::new(start.x, side * start.y, start.z);
             for element in 0..layout.elements.len() {
+                if element % POLLED == 0 {
+                    poll(monitor)?;
+                }
                 let corners = surface.corners[element].map(|c| c - from);
                 let [along_x, along_z] = mean_over(&corners, DEPTH);
                 for (l, force) in force.iter_mut().enumerate() {
@@ -66,12 +74,14 @@ pub(crate) fn lift<const B: usize>(
         }
         // Sideslip crosses the wakes, too: all gamma together are zero, so that only where they begin counts.
         let crossing = |l: usize| surface.onset(panels.axes()[l]).y * start.x;
-        gamma.map(|gamma| std::array::from_fn(|l| gamma * (0.25 / PI * force[l] + crossing(l))))
+        Ok(gamma.map(|gamma| std::array::from_fn(|l| gamma * (0.25 / PI * force[l] + crossing(l)))))
     };
+    let vortices = vortices(panels, surface, wakes, circulations);
     let forces: Vec<[[f64; B]; B]> =
-        vortices(panels, surface, wakes, circulations).into_par_iter().map(of_vortex).collect();
+        vortices.into_par_iter().map(of_vortex).collect::<Result<_, PanelError>>()?;
     let factor = 2.0 * surface.beta * images.len() as f64;
-    std::array::from_fn(|k| std::array::from_fn(|l| factor * forces.iter().map(|f| f[k][l]).sum::<f64>()))
+    let sum = |k: usize, l: usize| factor * forces.iter().map(|f| f[k][l]).sum::<f64>();
+    Ok(std::array::from_fn(|k| std::array::from_fn(|l| sum(k, l))))
 }
 
 /// The beginnings of the vortices along x, and their strengths.

@@ -5,6 +5,8 @@ use std::sync::{
     atomic::{AtomicBool, Ordering},
 };
 
+use crate::error::{Code, ServiceError};
+
 /// A flag that the engine polls. It is set when the caller's [`Interest`] is dropped.
 #[derive(Clone, Debug, Default)]
 pub struct Cancellation(Arc<AtomicBool>);
@@ -13,6 +15,14 @@ impl Cancellation {
     /// Whether the work should stop, since its caller no longer waits for it.
     pub fn requested(&self) -> bool {
         self.0.load(Ordering::Relaxed)
+    }
+
+    /// Ends work between its steps.
+    ///
+    /// # Errors
+    /// `Cancelled` if it should stop.
+    pub fn check(&self) -> Result<(), ServiceError> {
+        if self.requested() { Err(ServiceError::new(Code::Cancelled, "cancelled")) } else { Ok(()) }
     }
 }
 

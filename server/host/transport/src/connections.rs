@@ -304,6 +304,15 @@ impl Connections {
         }
     }
 
+    /// Asks all connections to end once their requests are over: their clients' certificates are checked anew on others.
+    pub fn renew(&self) {
+        for connection in lock(&self.all).values() {
+            if *connection.close.borrow() == Close::Open {
+                connection.ask(Close::Gracefully, "certificates have changed");
+            }
+        }
+    }
+
     /// Asks all connections to end once their requests are over, and waits until they have.
     pub(crate) async fn drain(&self) {
         for connection in lock(&self.all).values() {

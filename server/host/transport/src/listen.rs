@@ -179,9 +179,9 @@ async fn talk(
     builder
         .http2()
         .timer(TokioTimer::new())
-        // Large enough to upload a mesh without waiting for acknowledgements.
-        .initial_stream_window_size(4 << 20)
-        .initial_connection_window_size(16 << 20)
+        // Large enough to upload a mesh without waiting for acknowledgements; what comes before its memory is taken is no more.
+        .initial_stream_window_size(2 << 20)
+        .initial_connection_window_size(4 << 20)
         .max_send_buf_size(256 << 10)
         .keep_alive_interval(KEEP_ALIVE)
         .keep_alive_timeout(PONG);

@@ -12,7 +12,7 @@ use tokio_rustls::{
     rustls::{
         RootCertStore, ServerConfig,
         crypto::ring,
-        pki_types::{CertificateDer, PrivateKeyDer, pem::PemObject},
+        pki_types::{CertificateDer, CertificateRevocationListDer, PrivateKeyDer, pem::PemObject},
         server::WebPkiClientVerifier,
     },
 };
@@ -37,6 +37,8 @@ pub struct TlsFiles<'a> {
     pub client_authority: Option<&'a Path>,
     /// Whether clients without a certificate are accepted.
     pub client_optional: bool,
+    /// Client certificates that their authorities have revoked (CRL); an authority without a list has revoked none.
+    pub revoked: Option<&'a Path>,
 }
 
 /// TLS with HTTP/2 and HTTP/1.1.
@@ -60,6 +62,9 @@ pub fn acceptor(files: TlsFiles<'_>) -> Result<TlsAcceptor, TlsError> {
                 roots.add(certificate).map_err(|error| failed(path, &error))?;
             }
             let mut verifier = WebPkiClientVerifier::builder_with_provider(Arc::new(roots), provider);
+            if let Some(path) = files.revoked {
+                verifier = verifier.with_crls(revocations(path)?).allow_unknown_revocation_status();
+            }
             if files.client_optional {
                 verifier = verifier.allow_unauthenticated();
             }
@@ -75,10 +80,18 @@ pub fn acceptor(files: TlsFiles<'_>) -> Result<TlsAcceptor, TlsError> {
 }
 
 fn certificates(path: &Path) -> Result<Vec<CertificateDer<'static>>, TlsError> {
+    sections(path, "there is no certificate in it")
+}
+
+fn revocations(path: &Path) -> Result<Vec<CertificateRevocationListDer<'static>>, TlsError> {
+    sections(path, "there is no list of revoked certificates in it")
+}
+
+/// All sections of one kind in a PEM file, of which there must be one.
+fn sections<T: PemObject>(path: &Path, none: &str) -> Result<Vec<T>, TlsError> {
     let failed = |reason| TlsError { path: path.to_owned(), reason };
-    let read = CertificateDer::pem_file_iter(path).and_then(Iterator::collect::<Result<Vec<_>, _>>);
-    match read {
-        Ok(found) if found.is_empty() => Err(failed("there is no certificate in it".to_owned())),
+    match T::pem_file_iter(path).and_then(Iterator::collect::<Result<Vec<_>, _>>) {
+        Ok(found) if found.is_empty() => Err(failed(none.to_owned())),
         Ok(found) => Ok(found),
         Err(error) => Err(failed(error.to_string())),
     }

@@ -90,6 +90,7 @@ pub fn deformed(linearised: &Linearised, include_cell_quality: bool) -> v1::Defo
             projection: deformation.projection_residual,
             held: deformation.held_residual,
             projection_steps: deformation.projection_steps as u32,
+            crossing_pairs: deformation.crossings.len() as u32,
         }),
         cell_quality: include_cell_quality.then(|| cell_quality(&deformation.cell_quality)),
         functions: Some(arrays::numbers(&[deformation.functions.len()], [&deformation.functions[..]])),

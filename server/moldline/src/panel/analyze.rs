@@ -1,29 +1,26 @@
 //! `moldline panel analyze`: the panel method on a local mesh, without a server: the same input, the same bits.
 
-use std::{
-    fs, io,
-    num::NonZeroUsize,
-    path::{Path, PathBuf},
-};
+use std::{num::NonZeroUsize, path::PathBuf};
 
 use clap::Args;
 use moldline_host::{Cancellation, ServiceError};
 use moldline_mesh::{
-    LeftOut, Limits, SurfaceMesh,
-    io::{Format, Imported, vtu},
+    LeftOut, SurfaceMesh,
+    io::{Imported, vtu},
 };
 use moldline_mesh_service::explained;
 use moldline_panel::{
-    Analysis, Flow, Loads, Options, PanelError, PanelSetup, Reference, Scalars, Solver, Symmetry,
-    TrailingEdges,
+    Analysis, EdgeLine, Flow, LeftOut as LineLeftOut, Loads, OnDoubt, Options, PanelError, PanelSetup,
+    Reference, Scalars, Solver, Symmetry, TrailingEdges, Warning,
 };
 use moldline_panel_service::reporter;
 use serde_json::{Value, json};
 
-use super::choices::{SOLVERS, SYMMETRIES, words};
+use super::choices::{ON_DOUBT, SOLVERS, SYMMETRIES, words};
 use crate::{
     bar::Bar,
     failure::Failure,
+    local,
     output::{say, write},
     values,
 };
@@ -75,6 +72,9 @@ pub struct AnalyzeOptions {
     /// Memory limit, MiB
     #[arg(long, default_value_t = 4096, value_name = "MIB")]
     pub memory: u64,
+    /// Answers that contradict themselves
+    #[arg(long, value_parser = words(&ON_DOUBT), default_value = "refuse")]
+    pub on_doubt: OnDoubt,
     /// Compute threads; results do not depend on their number [default: one per core]
     #[arg(long, env = "MOLDLINE_THREADS")]
     pub threads: Option<NonZeroUsize>,
@@ -99,9 +99,10 @@ fn point(text: &str) -> Result<[f64; 3], String> {
 
 /// `moldline panel analyze`
 pub fn run(options: &AnalyzeOptions) -> Result<(), Failure> {
-    let Imported { mesh, origin } = read(&options.mesh, options.merge_tolerance)?;
+    let Imported { mesh, origin } = local::mesh_file(&options.mesh, options.merge_tolerance)?;
     tell_left_out(origin.left_out)?;
-    let explain = |error: PanelError| explained(&origin, error);
+    let explain = |error: PanelError| with_way_out(explained(&origin, error.clone()), &error);
+    let explained_text = |warning: &Warning| origin.explain(&warning.to_string());
     let pool = rayon::ThreadPoolBuilder::new().num_threads(values::threads(options.threads)).build()?;
     let setup = pool.install(|| PanelSetup::new(&mesh, choices(options))).map_err(explain)?;
     let summary = setup.summary();
@@ -112,6 +113,15 @@ pub fn run(options: &AnalyzeOptions) -> Result<(), Failure> {
         summary.unknowns,
         summary.memory >> 20
     ))?;
+    for line in &summary.lines {
+        say(&format_args!("  {}", origin.explain(&line.to_string())))?;
+    }
+    for LineLeftOut { line, reason } in &summary.left_out {
+        say(&format_args!("  left out: {}: {reason}", origin.explain(&line.to_string())))?;
+    }
+    for warning in &summary.warnings {
+        eprintln!("warning: {}", explained_text(warning));
+    }
     let reference =
         Reference { area: options.area, chord: options.chord, span: options.span, point: options.point };
     let sideslip = options.sideslip.to_radians();
@@ -125,19 +135,34 @@ pub fn run(options: &AnalyzeOptions) -> Result<(), Failure> {
     })?;
     for (alpha, analysis) in options.alpha.iter().zip(&analyses) {
         tell(*alpha, analysis)?;
+        for warning in &analysis.warnings {
+            eprintln!("warning at alpha {alpha} deg: {}", explained_text(warning));
+        }
     }
     if let Some(path) = &options.output {
         write(path, &vtu_of(&mesh, &options.alpha, &analyses))?;
         say(&format_args!("wrote {}", path.display()))?;
     }
     if let Some(path) = &options.report {
-        let analyses: Vec<Value> =
-            options.alpha.iter().zip(&analyses).map(|(alpha, a)| report(*alpha, a)).collect();
+        let warnings = |warnings: &[Warning]| -> Vec<Value> {
+            warnings.iter().map(|w| json!({ "kind": w.name(), "text": explained_text(w) })).collect()
+        };
+        let analyses: Vec<Value> = options
+            .alpha
+            .iter()
+            .zip(&analyses)
+            .map(|(alpha, a)| report(*alpha, a, &warnings(&a.warnings)))
+            .collect();
         let report = json!({
             "mach": options.mach,
             "unknowns": summary.unknowns,
             "symmetric": summary.symmetric,
             "trailing_edges": summary.trailing_edges,
+            "lines": summary.lines.iter().map(of_line).collect::<Vec<_>>(),
+            "left_out": summary.left_out.iter().map(of_left_out).collect::<Vec<_>>(),
+            "roots": summary.roots,
+            "aft_ends": summary.aft_ends,
+            "warnings": warnings(&summary.warnings),
             "analyses": analyses,
         });
         write(path, format!("{report:#}\n").as_bytes())?;
@@ -157,20 +182,10 @@ fn choices(options: &AnalyzeOptions) -> Options {
             TrailingEdges::Groups(options.trailing_edge.clone())
         },
         solver: options.solver,
+        on_doubt: options.on_doubt,
         memory_limit: options.memory.saturating_mul(1 << 20),
         ..Options::default()
     }
-}
-
-fn read(path: &Path, tolerance: f64) -> Result<Imported, Failure> {
-    let failed = |error: io::Error| Failure::File { path: path.to_owned(), error };
-    let format = Format::of_name(&path.to_string_lossy());
-    let unknown = || failed(io::Error::other(format!("is not a {} file", Format::ENDINGS)));
-    let format = format.ok_or_else(unknown)?;
-    let bytes = fs::read(path).map_err(failed)?;
-    format
-        .read(&bytes, tolerance, &Limits::default())
-        .map_err(|error| failed(io::Error::other(error.to_string())))
 }
 
 /// What of the file is not in the mesh.
@@ -207,7 +222,28 @@ fn tell(alpha: f64, analysis: &Analysis) -> Result<(), Failure> {
     Ok(())
 }
 
-fn report(alpha: f64, analysis: &Analysis) -> Value {
+/// An error with the options of the command line that are a way out.
+fn with_way_out(error: ServiceError, of: &PanelError) -> ServiceError {
+    let options = match of {
+        PanelError::NoTrailingEdge { .. } => {
+            "--trailing-edge GROUP, --trailing-edge-angle DEGREES, or --no-trailing-edges"
+        }
+        PanelError::Doubtful(_) => "--on-doubt warn",
+        _ => return error,
+    };
+    error.reworded(|text| format!("{text} ({options})"))
+}
+
+fn of_line(line: &EdgeLine) -> Value {
+    let EdgeLine { vertices, from, to, length, width, turn } = line;
+    json!({ "vertices": vertices, "from": from, "to": to, "length": length, "width": width, "turn": turn })
+}
+
+fn of_left_out(LineLeftOut { line, reason }: &LineLeftOut) -> Value {
+    json!({ "line": of_line(line), "reason": reason.name() })
+}
+
+fn report(alpha: f64, analysis: &Analysis, warnings: &[Value]) -> Value {
     let scalars: serde_json::Map<String, Value> = Scalars::NAMES
         .iter()
         .map(|name| name.to_string())
@@ -222,6 +258,7 @@ fn report(alpha: f64, analysis: &Analysis) -> Value {
         "coefficients": scalars,
         "wake_lift": analysis.wake_lift,
         "disagreement": analysis.disagreement,
+        "warnings": warnings,
         "total": part(&analysis.total),
         "components": analysis.components.iter().map(part).collect::<Vec<_>>(),
         "sections": sections.collect::<Vec<_>>(),

@@ -1,8 +1,8 @@
-//! Symmetry and solver: every choice once, with its word on the command line and its value in the protocol.
+//! Symmetry, solver and doubt: every choice once, with its word on the command line and its value in the protocol.
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
-use moldline_panel::{Solver, Symmetry};
-use moldline_proto::v1::{PanelSolver, PanelSymmetry};
+use moldline_panel::{OnDoubt, Solver, Symmetry};
+use moldline_proto::v1::{PanelOnDoubt, PanelSolver, PanelSymmetry};
 
 /// A choice of the panel method (`T`) and its value in the protocol (`M`).
 #[derive(Debug)]
@@ -27,6 +27,12 @@ pub static SOLVERS: [Choice<Solver, PanelSolver>; 4] = [
     Choice::new("double", "LU in double precision", Solver::Double, PanelSolver::Double),
     Choice::new("single", "LU in single precision, refined", Solver::Single, PanelSolver::Single),
     Choice::new("iterative", "GMRES", Solver::Iterative, PanelSolver::Iterative),
+];
+
+/// What becomes of an answer that a check finds wrong.
+pub static ON_DOUBT: [Choice<OnDoubt, PanelOnDoubt>; 2] = [
+    Choice::new("refuse", "It is refused", OnDoubt::Refuse, PanelOnDoubt::Refuse),
+    Choice::new("warn", "It is given with a warning", OnDoubt::Warn, PanelOnDoubt::Warn),
 ];
 
 impl<T, M> Choice<T, M> {

@@ -3,13 +3,14 @@
 use moldline_host::ServiceError;
 use moldline_mesh::{Cell, Group, Limits, MeshError};
 use moldline_panel::{
-    Analysis, Flow, Inputs, Loads, Options, Outputs, PanelError, Reference, Scalars, Section, TrailingEdges,
+    Analysis, EdgeLine, Flow, Inputs, LeftOut, Loads, Options, Outputs, PanelError, Reference, Scalars,
+    Section, TrailingEdges, Warning,
 };
 use moldline_panel_service::{Analysed, AnalysisPoint, Configuration, Definition, Geometry, Merging};
 use moldline_proto::v1;
 use v1::trailing_edges::Rule;
 
-use super::choices::{SOLVERS, SYMMETRIES, of_message, to_message};
+use super::choices::{ON_DOUBT, SOLVERS, SYMMETRIES, of_message, to_message};
 use crate::convert::{
     arrays::{
         float64, index_array, index_rows, indices, numbers, point_vectors, points, positions, shape, vectors,
@@ -69,6 +70,10 @@ fn options(options: v1::PanelOptions) -> Result<Options, ServiceError> {
     let solver = of_message(&SOLVERS, options.solver);
     let solver = solver.ok_or_else(|| unknown("options.solver", options.solver))?;
     let defaults = Options::default();
+    let on_doubt = match options.on_doubt {
+        0 => defaults.on_doubt,
+        value => of_message(&ON_DOUBT, value).ok_or_else(|| unknown("options.on_doubt", value))?,
+    };
     let trailing_edges = match options.trailing_edges.and_then(|edges| edges.rule) {
         None => defaults.trailing_edges,
         Some(Rule::None(v1::NoTrailingEdges {})) => TrailingEdges::None,
@@ -82,6 +87,7 @@ fn options(options: v1::PanelOptions) -> Result<Options, ServiceError> {
         components: options.components.map(|components| components.names),
         solver,
         tolerance: options.tolerance.unwrap_or(defaults.tolerance),
+        on_doubt,
         memory_limit: defaults.memory_limit,
     })
 }
@@ -100,8 +106,28 @@ pub fn configuration(configuration: &Configuration) -> v1::Configuration {
         solver: to_message(&SOLVERS, summary.solver),
         memory_bytes: summary.memory,
         components: configuration.setup.component_names().map(str::to_owned).collect(),
+        aft_ends: Some(index_array(&[summary.aft_ends.len()], &summary.aft_ends)),
+        left_out: summary.left_out.iter().map(left_out).collect(),
+        warnings: warnings(&summary.warnings),
         merged_vertex_count: configuration.merging.as_ref().map_or(0, Merging::count) as u64,
     }
+}
+
+fn left_out(LeftOut { line, reason }: &LeftOut) -> v1::LineLeftOut {
+    let EdgeLine { vertices, from: _, to: _, length, width, turn } = line;
+    v1::LineLeftOut {
+        vertices: Some(index_array(&[vertices.len()], vertices)),
+        length: *length,
+        width: *width,
+        turn: *turn,
+        reason: reason.name().to_owned(),
+    }
+}
+
+fn warnings(warnings: &[Warning]) -> Vec<v1::PanelWarning> {
+    let message =
+        |warning: &Warning| v1::PanelWarning { kind: warning.name().to_owned(), text: warning.to_string() };
+    warnings.iter().map(message).collect()
 }
 
 /// Vertices and Mach number. Errors name fields with `prefix` before them.
@@ -295,6 +321,7 @@ fn flow_analysis(analysis: &Analysis, angles: v1::FlowAngles, pressures: bool) -
         cp: list(&analysis.cp),
         vertex_cp: list(&analysis.vertex_cp),
         supercritical_cells: analysis.supercritical_cells as u64,
+        warnings: warnings(&analysis.warnings),
     }
 }
 

@@ -89,7 +89,8 @@ pub async fn parts(service: Arc<PanelService>, max_message: usize) -> Result<Par
     let health = health.while_passes(move || pool.moving());
     let admission = Admission { memory: Arc::clone(service.memory()), methods: api::method, max_message };
     let load = Arc::new(move || service.load());
-    Ok(Parts { served: Served { http, grpc, open, admission }, health, gauges, load })
+    let served = Served { http, grpc, open, admission };
+    Ok(Parts { served, health, gauges, load, reload: Box::new(|| Ok(())) })
 }
 
 /// Records load and memory for /metrics.

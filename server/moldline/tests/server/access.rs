@@ -404,19 +404,90 @@ impl Authority {
     fn new() -> Self {
         let mut params = rcgen::CertificateParams::new(Vec::new()).unwrap();
         params.is_ca = rcgen::IsCa::Ca(rcgen::BasicConstraints::Unconstrained);
+        params.key_usages = vec![rcgen::KeyUsagePurpose::KeyCertSign, rcgen::KeyUsagePurpose::CrlSign];
         let key = rcgen::KeyPair::generate().unwrap();
         Self { issuer: rcgen::CertifiedIssuer::self_signed(params, key).unwrap() }
     }
 
     /// Certificate and key, PEM.
     fn sign(&self, common_name: &str, uri: Option<&str>, hosts: &[&str]) -> (String, String) {
+        self.sign_number(1, common_name, uri, hosts)
+    }
+
+    fn sign_number(
+        &self,
+        number: u64,
+        common_name: &str,
+        uri: Option<&str>,
+        hosts: &[&str],
+    ) -> (String, String) {
         let hosts: Vec<String> = hosts.iter().map(|host| (*host).to_owned()).collect();
         let mut params = rcgen::CertificateParams::new(hosts).unwrap();
         params.distinguished_name.push(rcgen::DnType::CommonName, common_name);
         params.subject_alt_names.extend(uri.map(|uri| rcgen::SanType::URI(uri.try_into().unwrap())));
+        params.serial_number = Some(number.into());
         let key = rcgen::KeyPair::generate().unwrap();
         (params.signed_by(&key, &self.issuer).unwrap().pem(), key.serialize_pem())
     }
+
+    /// The list with the certificate of that number, PEM.
+    fn revoke(&self, number: u64) -> String {
+        let revoked = rcgen::RevokedCertParams {
+            serial_number: number.into(),
+            revocation_time: rcgen::date_time_ymd(2024, 1, 1),
+            reason_code: None,
+            invalidity_date: None,
+        };
+        let list = rcgen::CertificateRevocationListParams {
+            this_update: rcgen::date_time_ymd(2024, 1, 1),
+            next_update: rcgen::date_time_ymd(2999, 1, 1),
+            crl_number: 1_u64.into(),
+            issuing_distribution_point: None,
+            revoked_certs: vec![revoked],
+            key_identifier_method: rcgen::KeyIdMethod::Sha256,
+        };
+        list.signed_by(&self.issuer).unwrap().pem().unwrap()
+    }
+}
+
+#[tokio::test]
+async fn a_revoked_certificate_is_refused_and_others_are_not() {
+    use tonic::transport::{Certificate, ClientTlsConfig, Endpoint, Identity};
+    let folder = tempfile::tempdir().unwrap();
+    let file = |name: &str, text: &str| {
+        let path = folder.path().join(name);
+        std::fs::write(&path, text).unwrap();
+        path
+    };
+    let authority = Authority::new();
+    let (certificate, key) = authority.sign("server", None, &["localhost"]);
+    let (certificate, key) = (file("server.pem", &certificate), file("server.key", &key));
+    let ca = file("ca.pem", &authority.issuer.pem());
+    let tls = |revoked: &std::path::Path| {
+        moldline_transport::acceptor(moldline_transport::TlsFiles {
+            certificate: &certificate,
+            key: &key,
+            client_authority: Some(&ca),
+            client_optional: false,
+            revoked: Some(revoked),
+        })
+    };
+    let access = Access { tokens: None, certificates: true };
+    let acceptor = tls(&file("revoked.pem", &authority.revoke(7))).unwrap();
+    let server = Server::over(access, Limits::default(), Some(acceptor)).await;
+    for (number, expected) in [(6, true), (7, false), (8, true)] {
+        let (certificate, key) = authority.sign_number(number, "anna", None, &[]);
+        let client = ClientTlsConfig::new()
+            .domain_name("localhost")
+            .ca_certificate(Certificate::from_pem(authority.issuer.pem()))
+            .identity(Identity::from_pem(certificate, key));
+        let endpoint = Endpoint::from_shared(format!("https://{}", server.address)).unwrap();
+        let channel = endpoint.tls_config(client).unwrap().connect_lazy();
+        let listed = MeshServiceClient::new(channel).list_setups(v1::ListSetupsRequest::default()).await;
+        assert_eq!(listed.is_ok(), expected, "{number}: {listed:?}");
+    }
+    // A file without a list would revoke nothing without a word.
+    assert!(tls(&ca).err().unwrap().to_string().contains("there is no list"));
 }
 
 #[tokio::test]
@@ -436,6 +507,7 @@ async fn certificates_name_their_tenants_over_tls() {
         key: &file("server.key", &key),
         client_authority: Some(&ca),
         client_optional: false,
+        revoked: None,
     });
     let access = Access { tokens: None, certificates: true };
     let server = Server::over(access, Limits::default(), Some(tls.unwrap())).await;

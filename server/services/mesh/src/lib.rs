@@ -25,6 +25,7 @@ mod derivatives;
 mod limits;
 mod linearisation;
 mod progress;
+mod quotas;
 mod read;
 mod service;
 mod session_index;
@@ -37,7 +38,7 @@ mod upload;
 
 pub use moldline_check::Report as CheckReport;
 pub use moldline_setup_files::ArchiveKind;
-pub use moldline_store::{Health, Schedule, Store, StoreError};
+pub use moldline_store::{Health, Quota, Schedule, Store, StoreError};
 
 pub use access::{Access, Listed, Page, Session, SessionUpdate, SetupSummary, Visibility};
 pub use checks::{CheckAt, CheckRequest};

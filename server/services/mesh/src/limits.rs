@@ -94,8 +94,8 @@ impl Default for Limits {
 }
 
 impl Limits {
-    /// What one tenant may hold in the store.
-    pub(crate) fn quota(&self) -> Quota {
+    /// What a tenant may hold in the store, if it has no quota of its own.
+    pub fn quota(&self) -> Quota {
         Quota { setups: self.setups, sessions: self.sessions, bytes: self.stored_bytes }
     }
 }

@@ -3,7 +3,7 @@
 use bytes::Bytes;
 use moldline_deform::SetupInput;
 use moldline_host::{ServiceError, Share};
-use moldline_mesh::Origin;
+use moldline_mesh::{Origin, io::vtu};
 use moldline_setup_files::{Files, SetupContent, read_setup, unpack};
 use moldline_store::Manifest;
 
@@ -36,15 +36,19 @@ pub fn explained(origin: &Origin, error: impl Into<ServiceError>) -> ServiceErro
     error.into().reworded(|text| origin.explain(text))
 }
 
-/// An estimate of the memory that reading a file takes besides its bytes: syntax trees, documents, arrays.
-pub fn memory(path: &str, bytes: u64) -> u64 {
-    let times = match path.rsplit('.').next().unwrap_or_default() {
-        // The tree of a document of short lists, as measured.
-        "toml" => 36,
-        "json" => 12,
-        _ => 8,
+/// An estimate of the memory that reading files takes besides their bytes: syntax trees, documents, arrays.
+pub fn memory<'a>(files: impl IntoIterator<Item = (&'a str, &'a [u8])>, limits: &Limits) -> u64 {
+    let of_file = |(path, content): (&str, &[u8])| {
+        let (times, inflated) = match path.rsplit('.').next().unwrap_or_default() {
+            // The tree of a document of short lists, as measured.
+            "toml" => (36, 0),
+            "json" => (12, 0),
+            "vtu" => (8, vtu::inflated(content, &limits.setup_file.mesh)),
+            _ => (8, 0),
+        };
+        inflated.saturating_add(times * content.len() as u64)
     };
-    times * bytes
+    files.into_iter().map(of_file).fold(0, u64::saturating_add)
 }
 
 /// Reads an upload. `memory` is what has been taken for its bytes, and grows by what it is unpacked and read to.
@@ -67,8 +71,8 @@ pub fn uploaded(uploaded: Uploaded, limits: &Limits, memory: &mut Share) -> Resu
         }
     };
     let held = memory.amount();
-    let reading = files.iter().map(|(path, content)| self::memory(path, content.len() as u64)).sum();
-    memory.grow("reading the files", reading)?;
+    let contents = files.iter().map(|(path, content)| (path.as_str(), &content[..]));
+    memory.grow("reading the files", self::memory(contents, limits))?;
     let content = read(files, header.setup_file.as_deref(), limits)?;
     // The engine's input is about as large.
     memory.shrink(2 * held);

@@ -1,7 +1,7 @@
 //! The service: its state, and what all its methods share. The methods are in `setups`, `sessions`, `derivatives`, `checks` and
 //! `status`.
 
-use std::{sync::Arc, time::Instant};
+use std::{collections::HashMap, sync::Arc, time::Instant};
 
 use futures::{
     Stream, StreamExt, TryStreamExt, future,
@@ -12,12 +12,13 @@ use moldline_host::{
     Cache, Code, ComputePool, Flights, PoolLimits, Principal, Product, ServiceError, Supply, Task, Tenant,
     shorten,
 };
-use moldline_store::{Excess, Store};
+use moldline_store::{Excess, Quota, Store};
 
 use crate::{
     access::{Listed, Page},
     limits::Limits,
     linearisation::Linearised,
+    quotas::Quotas,
     session_index::SessionIndex,
     setup_cache::{SetupCache, StoredSetup},
     setup_id::SetupId,
@@ -31,6 +32,7 @@ pub(crate) const AT_ONCE: usize = 32;
 #[derive(Debug)]
 pub struct Service {
     pub(crate) limits: Limits,
+    pub(crate) quotas: Quotas,
     pub(crate) started: Instant,
     pub(crate) store: Store,
     pub(crate) pool: Arc<ComputePool>,
@@ -80,6 +82,7 @@ impl Service {
             linearising: Flights::default(),
             check_places: Supply::new("checks at a time", "--checks", limits.checks as u64, sharing),
             checks: Flights::default(),
+            quotas: Quotas::new(limits.quota()),
             pool,
             store,
             limits,
@@ -89,6 +92,12 @@ impl Service {
     /// The limits in force.
     pub fn limits(&self) -> &Limits {
         &self.limits
+    }
+
+    /// Gives single tenants quotas of their own in place of those before; the others have that of the limits. What a tenant
+    /// holds already stays, also beyond its quota.
+    pub fn set_quotas(&self, special: HashMap<Tenant, Quota>) {
+        self.quotas.replace(special);
     }
 
     /// The working memory.
@@ -136,8 +145,8 @@ impl Service {
     }
 
     /// The error that a tenant holds as much as it may. `more`: bytes that were to be added.
-    pub(crate) fn exceeds(&self, excess: Excess, more: u64) -> ServiceError {
-        let Limits { setups, sessions, stored_bytes, .. } = self.limits;
+    pub(crate) fn exceeds(quota: Quota, excess: Excess, more: u64) -> ServiceError {
+        let Quota { setups, sessions, bytes } = quota;
         let message = match excess {
             Excess::Sessions(open) => {
                 format!("{open} of your sessions are open, and the limit is {sessions}; close some")
@@ -146,7 +155,7 @@ impl Service {
                 format!("you have {held} set-ups, and the limit is {setups}; delete some")
             }
             Excess::Bytes(held) => format!(
-                "your set-ups and sessions have {held} bytes, and {more} more exceed the limit of {stored_bytes}; delete some"
+                "your set-ups and sessions have {held} bytes, and {more} more exceed the limit of {bytes}; delete some"
             ),
             Excess::Deleted(held) => format!(
                 "{} set-ups of {} bytes that you deleted are not collected yet, which is the limit; wait for the next \

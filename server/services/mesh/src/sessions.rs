@@ -100,9 +100,9 @@ impl Service {
         id: &str,
         bytes: u64,
     ) -> Result<Reservation, ServiceError> {
-        let quota = self.limits.quota();
+        let quota = self.quotas.of(&caller.tenant);
         let place = self.store.reserve(caller.tenant.as_str(), kind, id, bytes, &quota).await?;
-        place.map_err(|excess| self.exceeds(excess, bytes))
+        place.map_err(|excess| Self::exceeds(quota, excess, bytes))
     }
 
     fn check_label(&self, label: &str) -> Result<(), ServiceError> {

@@ -125,7 +125,8 @@ impl SetupCache {
         let Some(files) = self.store.setup(id).await? else { return Ok(None) };
         let (store, pool) = (self.store.clone(), Arc::clone(&self.pool));
         let (tenant, limits) = (tenant.clone(), self.limits.clone());
-        let memory = files.iter().map(|(path, content)| read::memory(path, content.len() as u64)).sum();
+        let contents = files.iter().map(|(path, content)| (path.as_str(), &content[..]));
+        let memory = read::memory(contents, &self.limits);
         let task =
             Task { kind: "load", tenant: tenant.clone(), setup: Some(id.to_owned()), session: None, memory };
         let name = SetupId::new(id.to_owned());

@@ -5,7 +5,9 @@ use std::sync::Arc;
 use blake3::Hasher;
 use moldline_host::{Claim, ServiceError};
 use moldline_mesh::{Cell, Group, SurfaceMesh};
-use moldline_panel::{Options, PanelError, PanelSetup, SetupSummary, Symmetry, TrailingEdges};
+use moldline_panel::{
+    Monitor, OnDoubt, Options, PanelError, PanelSetup, SetupSummary, Stage, Symmetry, TrailingEdges,
+};
 
 use crate::merging::Merging;
 
@@ -65,7 +67,7 @@ impl Definition {
                 indices(&mut hasher, &group.indices);
             }
         }
-        let Options { symmetry, trailing_edges, components, solver, tolerance, memory_limit: _ } =
+        let Options { symmetry, trailing_edges, components, solver, tolerance, on_doubt, memory_limit: _ } =
             &self.options;
         name(&mut hasher, word(*symmetry));
         match trailing_edges {
@@ -93,6 +95,9 @@ impl Definition {
         }
         name(&mut hasher, &format!("{solver:?}"));
         hasher.update(&tolerance.to_le_bytes());
+        if *on_doubt == OnDoubt::Warn {
+            name(&mut hasher, "warn");
+        }
         if let Some(distance) = self.merge_tolerance {
             name(&mut hasher, "merge");
             hasher.update(&distance.to_le_bytes());
@@ -119,6 +124,7 @@ impl Definition {
         limits: &moldline_mesh::Limits,
         memory_limit: u64,
         claim: Claim,
+        monitor: &dyn Monitor<Stage>,
     ) -> Result<Configuration, ServiceError> {
         let Self { cells, vertices, cell_groups, vertex_groups, mut options, merge_tolerance } = self;
         options.memory_limit = memory_limit;
@@ -127,11 +133,12 @@ impl Definition {
         let cells = mesh.cells.len();
         let vertices = Arc::new(mesh.vertices.clone());
         let (setup, merging) = match merge_tolerance {
-            None => (PanelSetup::new(&mesh, options)?, None),
+            None => (PanelSetup::monitored(&mesh, options, monitor)?, None),
             Some(tolerance) => {
                 let (merging, mesh) = Merging::new(mesh, tolerance)?;
                 options.trailing_edges = merging.trailing_edges(options.trailing_edges);
-                let setup = PanelSetup::new(&mesh, options).map_err(|error| merging.explain(error))?;
+                let setup =
+                    PanelSetup::monitored(&mesh, options, monitor).map_err(|error| merging.explain(error))?;
                 (setup, Some(merging))
             }
         };

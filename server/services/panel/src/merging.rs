@@ -153,13 +153,19 @@ impl Merging {
     pub fn analysis(&self, mut analysis: Analysis) -> Analysis {
         analysis.vertex_cp = self.merged.iter().map(|&merged| analysis.vertex_cp[merged as usize]).collect();
         analysis.sections.iter_mut().for_each(|section| section.edge = section.edge.map(|v| self.first(v)));
+        analysis.warnings.iter_mut().for_each(|warning| warning.renumber(&|v| self.first(v)));
         analysis
     }
 
     /// A summary with the caller's vertices.
     pub fn summary(&self, mut summary: SetupSummary) -> SetupSummary {
         summary.trailing_edges.iter_mut().flatten().for_each(|vertex| *vertex = self.first(*vertex));
-        summary.roots.iter_mut().for_each(|vertex| *vertex = self.first(*vertex));
+        let first = |vertex: &mut u32| *vertex = self.first(*vertex);
+        summary.roots.iter_mut().chain(&mut summary.aft_ends).for_each(first);
+        let lines =
+            summary.lines.iter_mut().chain(summary.left_out.iter_mut().map(|left_out| &mut left_out.line));
+        lines.for_each(|line| line.vertices.iter_mut().for_each(first));
+        summary.warnings.iter_mut().for_each(|warning| warning.renumber(&|v| self.first(v)));
         summary
     }
 

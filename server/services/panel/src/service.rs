@@ -197,9 +197,10 @@ impl PanelService {
             move |configuration: &Arc<Configuration>| cache.keep(key, Arc::clone(configuration))
         };
         let prepare = |_: Reports<Configuration>| async move {
-            let prepared = pool.run(task, move |_| {
+            let prepared = pool.run(task, move |ticket| {
                 let claim = cache.claim("the configuration", definition.bytes())?;
-                definition.prepare(id, &limits.mesh, limits.solution_bytes, claim)
+                let monitor = reporter(ticket.cancellation().clone(), |_| {});
+                definition.prepare(id, &limits.mesh, limits.solution_bytes, claim, &monitor)
             });
             let Completed { value, ran, .. } = prepared.await?;
             tracing::info!(configuration = value.id, seconds = ran.as_secs_f64(), "prepared a configuration");
@@ -252,12 +253,15 @@ impl PanelService {
         let id = name(&configuration, &geometry);
         let (solved, reused, timing) = self.solved(caller, &configuration, id, Some(geometry), tell).await?;
         let solution = Arc::clone(&solved.solution);
-        let analyse = move |_: &Ticket| {
-            let analyse = |flow| match &configuration.merging {
-                None => Ok(solution.analyse(flow)?),
-                Some(merging) => {
-                    let analysis = solution.analyse(flow).map_err(|error| merging.explain(error))?;
-                    Ok(merging.analysis(analysis))
+        let analyse = move |ticket: &Ticket| {
+            let analyse = |flow| {
+                ticket.cancellation().check()?;
+                match &configuration.merging {
+                    None => Ok(solution.analyse(flow)?),
+                    Some(merging) => {
+                        let analysis = solution.analyse(flow).map_err(|error| merging.explain(error))?;
+                        Ok(merging.analysis(analysis))
+                    }
                 }
             };
             flows.iter().map(analyse).collect()

@@ -334,3 +334,31 @@ fn errors_of_the_panel_method_have_code_and_field() {
     assert_eq!(answer(memory), (Code::ResourceExhausted, None));
     assert_eq!(answer(PanelError::Cancelled), (Code::Cancelled, None));
 }
+
+#[tokio::test]
+async fn numbers_that_are_not_finite_never_leave() {
+    let service = service(Limits::default());
+    let caller = Principal::local();
+    let id = service.create_configuration(&caller, wing()).await.unwrap().configuration.id.clone();
+    let at = || AnalysisPoint { analysis_id: String::new(), geometry: Some(still(0.3)), flow: flow(0.05) };
+    let seed = Outputs {
+        scalars: Scalars { moment: f64::MAX, lift: f64::MAX, ..Scalars::default() },
+        ..Outputs::default()
+    };
+    let refused = service.vjp(&caller, &id, at(), vec![seed]).await.unwrap_err();
+    assert!(refused.code == Code::FailedPrecondition && refused.message.contains("scale them"), "{refused}");
+    let vertices = vec![[1e308; 3]; wing().vertices.len()];
+    let direction = Inputs { vertices, alpha: 1e308, ..Inputs::default() };
+    let refused = service.jvp(&caller, &id, at(), vec![direction]).await.unwrap_err();
+    assert!(refused.message.contains("scale them"), "{refused}");
+}
+
+#[tokio::test]
+async fn names_of_groups_are_bounded() {
+    let service = service(Limits::default());
+    let mut definition = wing();
+    definition.vertex_groups[0].name = "n".repeat(257);
+    let refused = service.create_configuration(&Principal::local(), definition).await.unwrap_err();
+    assert_eq!(refused.code, Code::InvalidArgument);
+    assert!(refused.message.contains("257") && refused.message.len() < 300, "{refused}");
+}

@@ -1,6 +1,6 @@
 //! The engine's options as a document: every field is optional.
 
-use moldline_deform::{Kernel, Options, OuterMoldLine, Propagation};
+use moldline_deform::{Kernel, OnEvent, Options, OuterMoldLine, Propagation};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -48,6 +48,9 @@ pub struct OptionsDocument {
     /// Vertex groups of the mesh that stay where they are.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub stationary_groups: Vec<String>,
+    /// What is done about components that come to cross where they did not, and surfaces that pass through themselves.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub on_event: Option<OnEventDocument>,
     /// The seam search.
     pub seam: SeamDocument,
     /// Smoothing after the displacement field.
@@ -68,6 +71,18 @@ pub enum OuterMoldLineDocument {
     Sharp,
     /// On the zero set of their smooth union.
     Smooth,
+}
+
+/// What is done about an event.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum OnEventDocument {
+    /// The design is refused (default).
+    Refuse,
+    /// The answer says so.
+    Report,
+    /// Nothing looks for it.
+    Ignore,
 }
 
 /// How displacements propagate.
@@ -146,6 +161,7 @@ impl OptionsDocument {
         options.symmetric = o.symmetric.or(options.symmetric);
         options.protected_groups.clone_from(&o.protected_groups);
         options.stationary_groups.clone_from(&o.stationary_groups);
+        set(&mut options.on_event, o.on_event.map(Into::into));
         set(&mut options.seam.soft_steps, o.seam.soft_steps);
         set(&mut options.seam.polish, o.seam.polish);
         set(&mut options.seam.eta, o.seam.eta);
@@ -175,6 +191,7 @@ impl From<&Options> for OptionsDocument {
             symmetric: options.symmetric,
             protected_groups: options.protected_groups.clone(),
             stationary_groups: options.stationary_groups.clone(),
+            on_event: Some(options.on_event.into()),
             seam: SeamDocument {
                 soft_steps: Some(options.seam.soft_steps),
                 polish: Some(options.seam.polish),
@@ -215,5 +232,6 @@ macro_rules! same_variants {
 }
 
 same_variants!(OuterMoldLineDocument, OuterMoldLine: Sharp, Smooth);
+same_variants!(OnEventDocument, OnEvent: Refuse, Report, Ignore);
 same_variants!(PropagationDocument, Propagation: Absolute, Departure, Surface);
 same_variants!(KernelDocument, Kernel: Multiquadric, Cubic);

@@ -25,12 +25,15 @@ from moldline.panel.model import (
     FlowGradients,
     FlowTangents,
     Groups,
+    LineLeftOut,
     Loads,
+    OnDoubt,
     Reference,
     Sections,
     Solver,
     Symmetry,
     TrailingEdges,
+    Warning,
 )
 
 __all__ = [
@@ -46,12 +49,15 @@ __all__ = [
     "FlowGradients",
     "FlowTangents",
     "Groups",
+    "LineLeftOut",
     "Loads",
+    "OnDoubt",
     "Reference",
     "Sections",
     "Solver",
     "Symmetry",
     "TrailingEdges",
+    "Warning",
     "parts",
     "serve",
 ]

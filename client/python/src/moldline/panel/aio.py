@@ -24,6 +24,7 @@ from moldline.panel.model import (
     At,
     FlowGradients,
     FlowTangents,
+    OnDoubt,
     Reference,
     Solver,
     Symmetry,
@@ -52,6 +53,7 @@ class Client(AsyncCaller):
         solver: Solver | None = None,
         tolerance: float | None = None,
         merge_tolerance: float | None = None,
+        on_doubt: OnDoubt | None = None,
         timeout: float | None = None,
     ) -> Configuration:
         """As :meth:`moldline.panel.Client.create_configuration`."""
@@ -66,6 +68,7 @@ class Client(AsyncCaller):
             solver,
             tolerance,
             merge_tolerance,
+            on_doubt,
         )
         return Configuration(self, await self._run(operations.create(request), timeout), request)
 

@@ -16,6 +16,7 @@ from moldline.panel.model import (
     At,
     FlowGradients,
     FlowTangents,
+    OnDoubt,
     Reference,
     Solver,
     Symmetry,
@@ -47,6 +48,7 @@ class Client(Caller):
         solver: Solver | None = None,
         tolerance: float | None = None,
         merge_tolerance: float | None = None,
+        on_doubt: OnDoubt | None = None,
         timeout: float | None = None,
     ) -> Configuration:
         """Checks a mesh and finds everything that does not depend on the positions of its vertices.
@@ -64,6 +66,7 @@ class Client(Caller):
         `tolerance`: residual relative to the right-hand side; 1e-12 if `None`.
         `merge_tolerance`: metres within which vertices become one, at their mean; none if `None`. All arrays, and
         derivatives, keep the vertices given.
+        `on_doubt`: answers that contradict themselves are refused if `None`.
 
         Raises :class:`moldline.InvalidArgument` naming the wrong cell or edge, :class:`moldline.ResourceExhausted` if an
         analysis would need more memory than the server allows.
@@ -79,6 +82,7 @@ class Client(Caller):
             solver,
             tolerance,
             merge_tolerance,
+            on_doubt,
         )
         return Configuration(self, self._run(operations.create(request), timeout), request)
 

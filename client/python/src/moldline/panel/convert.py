@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -19,10 +19,12 @@ from moldline.panel.model import (
     Coefficients,
     Edges,
     Groups,
+    LineLeftOut,
     Loads,
     Reference,
     Sections,
     TrailingEdges,
+    Warning,
 )
 from moldline.v1 import array_pb2
 from moldline.v1 import panel_service_pb2 as wire
@@ -110,6 +112,7 @@ def analysis(answer: wire.Analysis, flow: wire.FlowAnalysis, point: AnalysisPoin
         coefficients=Coefficients(*(getattr(flow.coefficients, name) for name in COEFFICIENTS)),
         wake_lift=flow.wake_lift,
         disagreement=flow.disagreement,
+        warnings=warnings(flow.warnings),
         total=_loads(flow.total),
         components={loads.name: _loads(loads) for loads in flow.components},
         sections=Sections(
@@ -127,6 +130,18 @@ def analysis(answer: wire.Analysis, flow: wire.FlowAnalysis, point: AnalysisPoin
         reused=answer.reused,
         engine_seconds=answer.timings.engine_seconds,
         queue_seconds=answer.timings.queue_seconds,
+    )
+
+
+def warnings(messages: Iterable[wire.PanelWarning]) -> tuple[Warning, ...]:
+    """Reasons to doubt."""
+    return tuple(Warning(message.kind, message.text) for message in messages)
+
+
+def left_out(message: wire.LineLeftOut) -> LineLeftOut:
+    """A line of edges that is no trailing edge."""
+    return LineLeftOut(
+        arrays.from_wire(message.vertices), message.length, message.width, message.turn, message.reason
     )
 
 

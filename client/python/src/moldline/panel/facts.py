@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from moldline import arrays, display, pictures
 from moldline.mesh import Mesh, blocks, write_cells
 from moldline.panel import convert
-from moldline.panel.model import Analysis
+from moldline.panel.model import Analysis, LineLeftOut, Warning
 from moldline.v1 import panel_service_pb2 as wire
 
 
@@ -33,6 +33,14 @@ class ConfigurationFacts:
         self.trailing_edges: NDArray[np.uint32] = arrays.from_wire(description.trailing_edges)
         #: uint32: vertices where a trailing edge ends on a body, across which its circulation continues.
         self.roots: NDArray[np.uint32] = arrays.from_wire(description.roots)
+        #: uint32: for each of them the vertex at the body's aft end where its circulation leaves the body.
+        self.aft_ends: NDArray[np.uint32] = (
+            arrays.from_wire(description.aft_ends) if description.HasField("aft_ends") else np.empty(0, np.uint32)
+        )
+        #: What looks like a trailing edge, but was not taken as one; the longest of each reason first.
+        self.left_out: tuple[LineLeftOut, ...] = tuple(map(convert.left_out, description.left_out))
+        #: Reasons to doubt the configuration.
+        self.warnings: tuple[Warning, ...] = convert.warnings(description.warnings)
         #: Such as ``single``.
         self.solver: str = convert.solver(description.solver)
         #: Approximate peak memory of an analysis, bytes.

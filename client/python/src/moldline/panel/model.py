@@ -45,8 +45,38 @@ TrailingEdges = Groups | Edges | Angle | Literal["none"]
 #: Symmetry with respect to the plane y = 0: every cell is solved; the mesh is one half; or it has both, and one is solved.
 Symmetry = Literal["none", "half", "mirror"]
 
+#: Answers that contradict themselves: refused, or given with a warning.
+OnDoubt = Literal["refuse", "warn"]
+
 #: Solver of the linear system: LU in double precision, in single precision with refinement, or GMRES.
 Solver = Literal["double", "single", "iterative"]
+
+
+@dataclass(frozen=True)
+class Warning:
+    """A reason to doubt a configuration or an answer."""
+
+    #: Of a configuration ``no_wake`` or ``left_out``; of an answer ``near_pass``, ``lift``, ``drag``, ``span_efficiency``,
+    #: ``stagnation`` or ``circulation``.
+    kind: str
+    #: What is wrong, where, and the way out.
+    text: str
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LineLeftOut(ByContent):
+    """A line of edges that looks like a trailing edge, but was not taken as one."""
+
+    #: uint32: its vertices in order.
+    vertices: NDArray[np.uint32]
+    #: m.
+    length: float
+    #: Length as seen along the flow, m.
+    width: float
+    #: Angle by which the outward normal turns across it, degrees: the mean.
+    turn: float
+    #: ``flat``, ``smooth``, ``along_the_flow``, ``base`` or ``not_named``.
+    reason: str
 
 
 @dataclass(frozen=True)
@@ -142,6 +172,8 @@ class Analysis(ByContent):
     #: A measure of the discretisation error: lift from the pressure and on the wakes, over the lift that momentum requires
     #: for the circulation, minus one.
     disagreement: float
+    #: Reasons to doubt the answer.
+    warnings: tuple[Warning, ...]
     total: Loads
     #: By name.
     components: Mapping[str, Loads]

@@ -22,6 +22,7 @@ from moldline.panel.model import (
     At,
     FlowGradients,
     FlowTangents,
+    OnDoubt,
     Reference,
     Solver,
     Symmetry,
@@ -47,6 +48,7 @@ def configuration_request(
     solver: Solver | None,
     tolerance: float | None,
     merge_tolerance: float | None,
+    on_doubt: OnDoubt | None,
 ) -> wire.CreateConfigurationRequest:
     """The request that creates a configuration, and creates it again if the server has dropped it."""
     request = wire.CreateConfigurationRequest()
@@ -70,6 +72,8 @@ def configuration_request(
         options.tolerance = tolerance
     if merge_tolerance is not None:
         options.merge_tolerance = merge_tolerance
+    if on_doubt is not None:
+        options.on_doubt = convert.enumerator(wire.PanelOnDoubt, "PANEL_ON_DOUBT_", on_doubt)
     return request
 
 

@@ -10,7 +10,8 @@ thread_local! {
     pub(super) static LOOKED_AT: Cell<usize> = const { Cell::new(0) };
 }
 
-const LIMITS: Limits = Limits { vertices: 1 << 24, cells: 1 << 24, groups: 1 << 24, coordinate: 1e12 };
+const LIMITS: Limits =
+    Limits { vertices: 1 << 24, cells: 1 << 24, groups: 1 << 24, name: 256, coordinate: 1e12 };
 
 type Read = fn(&[u8]) -> Result<Imported, ReadError>;
 

@@ -51,6 +51,30 @@ pub fn read(bytes: &[u8], limits: &Limits) -> Result<Imported, ReadError> {
     read_merged(bytes, 0.0, limits)
 }
 
+/// Bytes that reading a file takes beyond what follows from its own length: zlib makes up to a thousand of one, and what it makes is
+/// announced by the pieces. 0 for files without compression, and for those that [`read`] refuses at once.
+pub fn inflated(bytes: &[u8], limits: &Limits) -> u64 {
+    /// Coordinates as bytes, numbers and positions; the number of the point.
+    const OF_POINT: u64 = 24 + 24 + 24 + 8;
+    /// Type, offset, four indices, each as bytes and as numbers; its new number, the cell and its old number.
+    const OF_CELL: u64 = 2 * (8 + 8 + 32) + 8 + 16 + 8;
+    /// Index of a member.
+    const OF_MEMBER: u64 = 4;
+    let Ok((file, pieces)) = scan(bytes) else { return 0 };
+    if !file.compressed {
+        return 0;
+    }
+    // Pieces beyond the limits are refused before they are read.
+    let capped = |count: u64, limit: usize| count.min(limit as u64);
+    let of_piece = |piece: &Piece<'_>| {
+        let (points, cells) = (capped(piece.points, limits.vertices), capped(piece.cells, limits.cells));
+        let of_points = OF_POINT + OF_MEMBER * piece.point_groups.len() as u64;
+        let of_cells = OF_CELL + OF_MEMBER * piece.cell_groups.len() as u64;
+        of_points.saturating_mul(points).saturating_add(of_cells.saturating_mul(cells))
+    };
+    pieces.iter().map(of_piece).fold(0, u64::saturating_add)
+}
+
 /// As [`read`], with points merged within `tolerance`, in the file's unit.
 ///
 /// # Errors

@@ -5,15 +5,14 @@ use moldline_mesh::Vector3;
 use rayon::prelude::*;
 
 use super::{
-    far::{FAR_SQUARED, Moments, mean, share},
     records::Influence,
-    targets::{Carrier, Probes, Target},
+    targets::Target,
+    walk::{Block, Near, View, Visitor},
 };
 use crate::{
     Monitor, PanelError, Stage,
     clusters::{PATCH, Patch},
-    elements::{Element, circulation},
-    lanes::Lane,
+    elements::Element,
     linear_system::Matrix,
     progress::Progress,
     surface::area,
@@ -22,74 +21,139 @@ use crate::{
 /// Groups of targets that are assembled before they are added to the matrix.
 const GROUPS: usize = 16;
 
-/// What of a patch's elements the loop over pairs reads, one list for each number.
-struct Lanes {
-    elements: Vec<usize>,
-    centroid: [Vec<f64>; 3],
-    moments: [Vec<f64>; 6],
-    reach: Vec<f64>,
-    /// Circulations for unit values at the corners of the elements.
-    charges: Vec<[[f64; 3]; 3]>,
-    /// Their nodes, as places among the patch's.
-    columns: Vec<[u32; 3]>,
+/// What a row tests, for the elements of a patch, by axis.
+type Tested = [[f64; PATCH]; 3];
+
+/// The rows to which a group of targets adds.
+struct Rows<'a> {
+    influence: &'a Influence<'a>,
+    targets: &'a [Target],
+    /// Unknowns of the test functions.
+    rows: Vec<u32>,
+    /// Where every target adds: indices of `rows`.
+    indices: Vec<[usize; 4]>,
+    /// Entries of all rows for the nodes, and for the circulations at the wakes' corners.
+    nodes: Vec<f64>,
+    gamma: Vec<f64>,
+    /// The sum over the views, for every row of a target.
+    tested: [Tested; 4],
 }
 
-impl Lanes {
-    fn new(influence: &Influence<'_>, patch: &Patch) -> Self {
-        let list = &influence.layout.elements;
-        let elements: Vec<usize> = patch.panels.iter().flat_map(|p| list.of(*p as usize)).collect();
-        let source = |e: &usize| &influence.sources[*e];
-        let columns = patch
-            .panels
-            .iter()
-            .zip(&patch.places)
-            .flat_map(|(panel, places)| list.of(*panel as usize).map(|e| list.list[e].of_corners(places)))
-            .collect();
-        let charges = |e: &usize| {
-            let corners = &influence.surface.corners[*e];
-            [0, 1, 2].map(|k| {
-                circulation(corners, &std::array::from_fn(|j| if j == k { 1.0 } else { 0.0 })).into()
-            })
+impl<'a> Rows<'a> {
+    fn new(influence: &'a Influence<'a>, targets: &'a [Target]) -> Self {
+        let mut rows: Vec<u32> = targets.iter().flat_map(|t| t.rows.iter().copied()).collect();
+        rows.sort_unstable();
+        rows.dedup();
+        let index = |row: &u32| rows.partition_point(|r| r < row);
+        let of_target = |target: &Target| {
+            let mut indices = [0; 4];
+            indices.iter_mut().zip(&target.rows).for_each(|(i, row)| *i = index(row));
+            indices
         };
-        Self {
-            centroid: [0, 1, 2].map(|k| elements.iter().map(|e| source(e).centroid[k]).collect()),
-            moments: [0, 1, 2, 3, 4, 5].map(|k| elements.iter().map(|e| source(e).moments[k]).collect()),
-            reach: elements.iter().map(|e| influence.layout.reach[*e]).collect(),
-            charges: elements.iter().map(charges).collect(),
-            elements,
-            columns,
+        let indices = targets.iter().map(of_target).collect();
+        let nodes = vec![0.0; rows.len() * influence.layout.nodes.value.len()];
+        let gamma = vec![0.0; rows.len() * influence.layout.sheets.circulations.len()];
+        Self { influence, targets, rows, indices, nodes, gamma, tested: [[[0.0; PATCH]; 3]; 4] }
+    }
+
+    /// The rows with their entries for all unknowns.
+    fn finish(self) -> (Vec<u32>, Vec<f64>) {
+        let layout = self.influence.layout;
+        let n = layout.nodes.rows();
+        let mut out = vec![0.0; self.rows.len() * n];
+        for (row, out) in out.chunks_mut(n).enumerate() {
+            for (values, combinations) in
+                [(&self.nodes, &layout.nodes.value), (&self.gamma, &layout.sheets.circulations)]
+            {
+                let of_row = &values[row * combinations.len()..][..combinations.len()];
+                for (value, terms) in of_row.iter().zip(combinations) {
+                    terms.iter().for_each(|(unknown, factor)| out[*unknown as usize] += factor * value);
+                }
+            }
+        }
+        (self.rows, out)
+    }
+}
+
+impl Visitor for Rows<'_> {
+    const GRADIENTS: bool = false;
+
+    fn far(&mut self, target: usize, view: &View, _: &Patch, block: &Block) {
+        let charges = &self.targets[target].charges;
+        let tested = &mut self.tested;
+        widest(
+            #[inline(always)]
+            || {
+                let [along_p, along_q] = view.slopes.each_ref().map(|along| block.slopes(along));
+                for (charges, out) in charges.iter().zip(tested.iter_mut()) {
+                    let [whole, p, q] = charges.each_ref().map(|charge| view.turned(charge));
+                    for (axis, out) in out.iter_mut().enumerate() {
+                        for l in 0..PATCH {
+                            out[l] +=
+                                whole[axis] * block.means[l] + p[axis] * along_p[l] + q[axis] * along_q[l];
+                        }
+                    }
+                }
+            },
+        );
+    }
+
+    fn near(&mut self, target: usize, view: &View, element: usize, _: usize, near: &Near) {
+        let Self { influence, targets, .. } = *self;
+        let layout = influence.layout;
+        let nodes = &layout.nodes.of_corner[layout.elements.list[element].panel as usize];
+        let units = influence.units[element].map(|unit| view.turned(&unit));
+        let width = layout.nodes.value.len();
+        let target_ = &targets[target];
+        for (k, index) in self.indices[target].iter().enumerate().take(target_.rows.len()) {
+            let weighted = |(part, mean): (&super::targets::Part, &f64)| *mean * part.charges[k];
+            let charge: Vector3 = target_.parts.iter().zip(&near.means).map(weighted).sum();
+            let out = &mut self.nodes[index * width..][..width];
+            nodes.iter().zip(&units).for_each(|(node, unit)| out[*node as usize] += charge.dot(unit));
         }
     }
-}
 
-/// A target as it is seen from one side: the surface's, or its image's.
-pub(super) struct View {
-    /// -1 for the image.
-    pub y: f64,
-    pub centroid: [f64; 3],
-    pub moments: Moments,
-}
-
-impl View {
-    pub fn new(target: &Target, y: f64) -> Self {
-        let (c, s) = (&target.centroid, &target.moments);
-        Self { y, centroid: [c.x, y * c.y, c.z], moments: [s[0], s[1], s[2], y * s[3], y * s[4], s[5]] }
+    fn sheet(&mut self, target: usize, view: &View, sheet: usize, near: &Near) {
+        let Self { influence, targets, .. } = *self;
+        let sheet = &influence.sheets[sheet];
+        let units = sheet.units.map(|unit| view.turned(&unit));
+        let width = influence.layout.sheets.circulations.len();
+        let target_ = &targets[target];
+        for (k, index) in self.indices[target].iter().enumerate().take(target_.rows.len()) {
+            let weighted = |(part, mean): (&super::targets::Part, &f64)| *mean * part.charges[k];
+            let charge: Vector3 = target_.parts.iter().zip(&near.means).map(weighted).sum();
+            let out = &mut self.gamma[index * width..][..width];
+            sheet.circulations.iter().zip(&units).for_each(|(g, unit)| out[*g as usize] += charge.dot(unit));
+        }
     }
 
-    /// The image of a vortex turns the other way but for its part across the plane.
-    pub fn turned(&self, charge: &Vector3) -> Vector3 {
-        Vector3::new(self.y * charge.x, charge.y, self.y * charge.z)
+    fn done(&mut self, target: usize, patch: &Patch) {
+        let influence = self.influence;
+        let count = patch.places.len();
+        let width = influence.layout.nodes.value.len();
+        let units = influence.unit_charges.each_ref().map(|u| u.each_ref().map(|u| &u[patch.places.clone()]));
+        for ((index, _), [x, y, z]) in
+            self.indices[target].iter().zip(&self.targets[target].rows).zip(&mut self.tested)
+        {
+            let mut values = [[0.0; PATCH]; 4];
+            widest(
+                #[inline(always)]
+                || {
+                    for (values, units) in values.iter_mut().zip(&units) {
+                        for l in 0..count {
+                            values[l] = x[l] * units[0][l] + y[l] * units[1][l] + z[l] * units[2][l];
+                        }
+                    }
+                },
+            );
+            let out = &mut self.nodes[index * width..][..width];
+            for (l, columns) in patch.corners.iter().enumerate() {
+                let columns = columns.map(|column| patch.nodes[column as usize] as usize);
+                columns.iter().zip(&values).for_each(|(column, values)| out[*column] += values[l]);
+            }
+            [x, y, z].iter_mut().for_each(|list| list.fill(0.0));
+        }
     }
-
-    /// The place of a point of the target.
-    pub fn place(&self, x: &Vector3) -> Vector3 {
-        Vector3::new(x.x, self.y * x.y, x.z)
-    }
-}
-
-/// The mean over probes.
-fn mean_over(probes: &Probes, means: &Lane) -> f64 {
-    means.iter().zip(&probes.weights).map(|(mean, weight)| mean * weight).sum()
 }
 
 impl Influence<'_> {
@@ -103,19 +167,20 @@ impl Influence<'_> {
     ) -> Result<(Matrix, [Vec<f64>; B]), PanelError> {
         let n = self.layout.nodes.rows();
         let mut matrix = Matrix::zeros(n);
-        let lanes: Vec<Lanes> = self.layout.patches.iter().map(|patch| Lanes::new(self, patch)).collect();
         let groups = self.groups();
         let progress = Progress::new(monitor, Stage::Influence, groups.len());
         for wave in groups.chunks(GROUPS) {
             let blocks: Vec<(Vec<u32>, Vec<f64>)> = wave
                 .par_iter()
-                .map(|targets| {
+                .map(|group| {
                     if progress.cancelled() {
                         return (Vec::new(), Vec::new());
                     }
-                    let block = self.block(targets, &lanes);
+                    let targets: Vec<Target> = group.iter().map(|index| Target::new(self, *index)).collect();
+                    let mut rows = Rows::new(self, &targets);
+                    self.walk(&targets, &mut rows);
                     progress.step();
-                    block
+                    rows.finish()
                 })
                 .collect();
             for (rows, block) in &blocks {
@@ -135,146 +200,6 @@ impl Influence<'_> {
         Ok((matrix, right))
     }
 
-    /// Targets that are handled together: the elements of a patch, or some points of lines.
-    pub(super) fn groups(&self) -> Vec<Vec<usize>> {
-        let layout = self.layout;
-        let elements =
-            |patch: &Patch| patch.panels.iter().flat_map(|p| layout.elements.of(*p as usize)).collect();
-        let lines: Vec<usize> = (layout.elements.len()..Target::count(self)).collect();
-        layout.patches.iter().map(elements).chain(lines.chunks(4 * PATCH).map(<[usize]>::to_vec)).collect()
-    }
-
-    /// The rows that a group of targets adds to.
-    fn block(&self, targets: &[usize], lanes: &[Lanes]) -> (Vec<u32>, Vec<f64>) {
-        let n = self.layout.nodes.rows();
-        let targets: Vec<Target> = targets.iter().map(|t| Target::new(self, *t)).collect();
-        let mut rows: Vec<u32> = targets.iter().flat_map(|t| t.rows.iter().map(|(row, _)| *row)).collect();
-        rows.sort_unstable();
-        rows.dedup();
-        let place = |row: u32| rows.partition_point(|r| *r < row);
-        let mut block = vec![0.0; rows.len() * n];
-        let mut part = Vec::new();
-        let mut sums = Vec::new();
-        for (patch, lanes) in self.layout.patches.iter().zip(lanes) {
-            let columns = patch.nodes.len();
-            part.clear();
-            part.resize(rows.len() * columns, 0.0);
-            for target in &targets {
-                sums.clear();
-                sums.resize(3 * columns, 0.0);
-                self.potential(target, lanes, columns, &mut sums);
-                for (row, charge) in &target.rows {
-                    let first = place(*row) * columns;
-                    let out = &mut part[first..first + columns];
-                    let (x, rest) = sums.split_at(columns);
-                    let (y, z) = rest.split_at(columns);
-                    widest(
-                        #[inline(always)]
-                        || {
-                            for (((out, x), y), z) in out.iter_mut().zip(x).zip(y).zip(z) {
-                                *out += charge.x * x + charge.y * y + charge.z * z;
-                            }
-                        },
-                    );
-                }
-            }
-            for (values, out) in part.chunks(columns).zip(block.chunks_mut(n)) {
-                for (value, node) in values.iter().zip(&patch.nodes) {
-                    for (unknown, factor) in &self.layout.nodes.value[*node as usize] {
-                        out[*unknown as usize] += factor * value;
-                    }
-                }
-            }
-        }
-        let mut gamma = vec![Vector3::zeros(); self.layout.sheets.circulations.len()];
-        for target in &targets {
-            self.wake_potential(target, &mut gamma);
-            for (row, charge) in &target.rows {
-                let first = place(*row) * n;
-                let out = &mut block[first..first + n];
-                for (potential, terms) in gamma.iter().zip(&self.layout.sheets.circulations) {
-                    let value = charge.dot(potential);
-                    terms.iter().for_each(|(unknown, factor)| out[*unknown as usize] += factor * value);
-                }
-            }
-        }
-        (rows, block)
-    }
-
-    /// Adds the mean vector potential at a target, times `4 pi`, for unit values at the columns of a patch: x, then y, then z of all.
-    fn potential(&self, target: &Target, lanes: &Lanes, columns: usize, sums: &mut [f64]) {
-        let count = lanes.elements.len();
-        let mut means = [0.0; 2 * PATCH];
-        let mut distances = [0.0; 2 * PATCH];
-        for &y in self.views() {
-            let view = View::new(target, y);
-            let [cx, cy, cz] = lanes.centroid.each_ref().map(|c| &c[..count]);
-            let moments = lanes.moments.each_ref().map(|m| &m[..count]);
-            widest(
-                #[inline(always)]
-                || {
-                    let (means, distances) = (&mut means[..count], &mut distances[..count]);
-                    for l in 0..count {
-                        let d =
-                            [cx[l] - view.centroid[0], cy[l] - view.centroid[1], cz[l] - view.centroid[2]];
-                        let s: Moments = std::array::from_fn(|k| moments[k][l] + view.moments[k]);
-                        means[l] = mean(d, &s);
-                        distances[l] = d[0] * d[0] + d[1] * d[1] + d[2] * d[2];
-                    }
-                },
-            );
-            for l in 0..count {
-                let reach = lanes.reach[l] + target.reach;
-                if distances[l] < FAR_SQUARED * reach * reach {
-                    let d = Vector3::from_fn(|k, _| lanes.centroid[k][l] - view.centroid[k]);
-                    let (far, _) = share(&d, reach);
-                    let afar = if far > 0.0 { far * means[l] } else { 0.0 };
-                    means[l] = afar + (1.0 - far) * self.near_mean(target, &view, lanes.elements[l]);
-                }
-            }
-            let (x, rest) = sums.split_at_mut(columns);
-            let (of_y, z) = rest.split_at_mut(columns);
-            for ((mean, charges), places) in means.iter().zip(&lanes.charges).zip(&lanes.columns) {
-                for (charge, place) in charges.iter().zip(places) {
-                    let place = *place as usize;
-                    x[place] += y * mean * charge[0];
-                    of_y[place] += mean * charge[1];
-                    z[place] += y * mean * charge[2];
-                }
-            }
-        }
-    }
-
-    /// The mean inverse distance between a target and an element near by.
-    fn near_mean(&self, target: &Target, view: &View, element: usize) -> f64 {
-        let triangle = &self.triangles[element];
-        if target.carrier == Carrier::Element(element) && view.y > 0.0 {
-            return triangle.own_mean_with_gradient().0;
-        }
-        let on = if view.y > 0.0 { target.on_side(self, element) } else { None };
-        mean_over(&target.probes, &triangle.means(&target.places(view), on))
-    }
-
-    /// The mean vector potential at a target, times `4 pi`, for unit circulations at the corners of the wakes.
-    fn wake_potential(&self, target: &Target, gamma: &mut [Vector3]) {
-        gamma.fill(Vector3::zeros());
-        for &y in self.views() {
-            let view = View::new(target, y);
-            let places = target.places(&view);
-            for (index, sheet) in
-                self.sheets.iter().enumerate().filter(|(_, sheet)| !sheet.triangle.is_empty())
-            {
-                let on = if y > 0.0 { target.on_sheet(self, index) } else { None };
-                let mean = mean_over(&target.probes, &sheet.triangle.means(&places, on));
-                for k in 0..3 {
-                    let unit: [f64; 3] = std::array::from_fn(|j| if j == k { 1.0 } else { 0.0 });
-                    let charge = view.turned(&circulation(&sheet.triangle.corners, &unit));
-                    gamma[sheet.circulations[k] as usize] += mean * charge;
-                }
-            }
-        }
-    }
-
     /// `4 pi integral w n.V' dS` for every unit onset flow.
     fn right<const B: usize>(&self) -> [Vec<f64>; B] {
         let axes = self.panels.axes();
@@ -282,17 +207,20 @@ impl Influence<'_> {
         for (element, record) in self.layout.elements.list.iter().enumerate() {
             let vector = area(&self.surface.corners[element]);
             for (k, b) in right.iter_mut().enumerate() {
-                let flux = 4.0 * std::f64::consts::PI / 3.0 * vector.dot(&self.surface.onset(axes[k]));
-                self.tests(record).iter().for_each(|row| b[*row] += flux);
+                let flux = 4.0 * std::f64::consts::PI * vector.dot(&self.surface.onset(axes[k]));
+                self.tests(record).iter().for_each(|(row, mean)| b[*row] += mean * flux);
             }
         }
         right
     }
 
-    /// The unknowns whose test functions are 1 at the corners of an element.
-    pub(super) fn tests(&self, element: &Element) -> [usize; 3] {
+    /// The unknowns of a panel, and the means of their test functions over an element.
+    pub(super) fn tests(&self, element: &Element) -> [(usize, f64); 4] {
         let nodes = &self.layout.nodes;
-        element.of_corners(&nodes.of_corner[element.panel as usize]).map(|n| nodes.row[n as usize] as usize)
+        let means = element.corner_seeds(&[1.0 / 3.0; 3]);
+        std::array::from_fn(|k| {
+            (nodes.row[nodes.of_corner[element.panel as usize][k] as usize] as usize, means[k])
+        })
     }
 
     /// Adds what fixes the mean of the potential of every connected piece, which nothing else depends on: `s 1 1^T` over its unknowns, s being the

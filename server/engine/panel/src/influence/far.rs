@@ -10,7 +10,7 @@ use moldline_foundation::smooth_step::smooth_step;
 use moldline_mesh::Vector3;
 
 /// Distance over the sum of the radii from which on figures begin to count as far, and from which on they do.
-const FAR: [f64; 2] = [1.5, 2.0];
+const FAR: [f64; 2] = [2.0, 2.7];
 
 /// A symmetric tensor: xx, yy, zz, xy, yz, zx.
 pub(crate) type Moments = [f64; 6];

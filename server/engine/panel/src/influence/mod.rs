@@ -19,6 +19,7 @@
 
 mod assembly;
 mod far;
+mod figure;
 mod jvp;
 mod near;
 mod records;

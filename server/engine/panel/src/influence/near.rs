@@ -9,10 +9,10 @@
 //!
 //! with the solid angle Omega of van Oosterom and Strackee (IEEE Trans. Biomed. Eng. 30, 1983).
 
-use moldline_foundation::simd::widest;
 use moldline_mesh::Vector3;
+use pulp::{Arch, Simd, WithSimd};
 
-use crate::lanes::{LANES, Lane, argument, log_ratio};
+use crate::lanes::{LANES, Lane, Wide};
 
 /// A triangle and what of it does not depend on the point.
 #[derive(Clone, Copy, Debug)]
@@ -30,20 +30,40 @@ pub(crate) struct Triangle {
 /// Points, by axis.
 pub(crate) type Points = [Lane; 3];
 
+/// A vector of each point.
+type Ways<S> = [Wide<S>; 3];
+
 /// Ways from points to the corners of a triangle, and their lengths.
-struct Seen {
-    ways: [[Lane; 3]; 3],
-    radii: [Lane; 3],
+struct Seen<S: Simd> {
+    ways: [Ways<S>; 3],
+    radii: [Wide<S>; 3],
 }
 
 #[inline(always)]
-fn dot(p: &[f64; 3], q: &[f64; 3]) -> f64 {
+fn dot<S: Simd>(p: &Ways<S>, q: &Ways<S>) -> Wide<S> {
     p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
 }
 
+/// The product with one vector for all points.
 #[inline(always)]
-fn cross(p: &[f64; 3], q: &[f64; 3]) -> [f64; 3] {
+fn along<S: Simd>(p: &Ways<S>, q: &Vector3) -> Wide<S> {
+    p[0] * q.x + p[1] * q.y + p[2] * q.z
+}
+
+/// From points to one point.
+#[inline(always)]
+fn way<S: Simd>(x: &Ways<S>, to: &Vector3) -> Ways<S> {
+    [-(x[0] - to.x), -(x[1] - to.y), -(x[2] - to.z)]
+}
+
+#[inline(always)]
+fn cross<S: Simd>(p: &Ways<S>, q: &Ways<S>) -> Ways<S> {
     [p[1] * q[2] - p[2] * q[1], p[2] * q[0] - p[0] * q[2], p[0] * q[1] - p[1] * q[0]]
+}
+
+#[inline(always)]
+fn cross_one<S: Simd>(p: &Ways<S>, q: &Vector3) -> Ways<S> {
+    [p[1] * q.z - p[2] * q.y, p[2] * q.x - p[0] * q.z, p[0] * q.y - p[1] * q.x]
 }
 
 impl Triangle {
@@ -71,158 +91,151 @@ impl Triangle {
     /// The mean inverse distances, 1/m, of several points x. `on` is the edge on which the points lie, if they lie on one: of that edge and the height
     /// nothing counts.
     pub fn means(&self, x: &Points, on: Option<usize>) -> Lane {
-        let mut out = [0.0; LANES];
-        widest(
+        struct Means<'a>(&'a Triangle, &'a Points, Option<usize>);
+        impl WithSimd for Means<'_> {
+            type Output = Lane;
+
             #[inline(always)]
-            || out = self.means_inline(x, on),
-        );
-        out
+            fn with_simd<S: Simd>(self, simd: S) -> Lane {
+                let mut out = [0.0; LANES];
+                for part in 0..Wide::<S>::PARTS {
+                    let [x, y, z] = self.1;
+                    let x = [Wide::load(simd, x, part), Wide::load(simd, y, part), Wide::load(simd, z, part)];
+                    self.0.means_of(simd, &x, self.2).store(&mut out, part);
+                }
+                out
+            }
+        }
+        Arch::new().dispatch(Means(self, x, on))
     }
 
     #[inline(always)]
-    fn means_inline(&self, x: &Points, on: Option<usize>) -> Lane {
-        let Seen { ways, radii } = self.seen(x);
-        let mut sums = [0.0; LANES];
+    fn means_of<S: Simd>(&self, simd: S, x: &Ways<S>, on: Option<usize>) -> Wide<S> {
+        let seen = self.seen(x);
+        let Seen { ways, radii } = &seen;
+        let mut sum = Wide::splat(simd, 0.0);
         for k in 0..3 {
-            if on == Some(k) {
-                continue;
-            }
-            let j = (k + 1) % 3;
-            let m = &self.outwards[k];
-            for l in 0..LANES {
-                let logarithm = log_ratio(radii[k][l] + radii[j][l], self.lengths[k]);
-                sums[l] += logarithm * (m.x * ways[k][0][l] + m.y * ways[k][1][l] + m.z * ways[k][2][l]);
+            if on != Some(k) {
+                let logarithm = (radii[k] + radii[(k + 1) % 3]).log_ratio(self.lengths[k]);
+                sum = sum + logarithm * along(&ways[k], &self.outwards[k]);
             }
         }
         if on.is_none() {
-            let angles = self.angles(&ways, &radii);
-            for l in 0..LANES {
-                sums[l] -= self.height(&ways, l) * angles[l];
-            }
+            sum = sum - along(&ways[0], &self.normal) * self.angles(&seen);
         }
-        sums.map(|sum| 2.0 * sum / self.double_area)
+        sum * (2.0 / self.double_area)
     }
 
     #[inline(always)]
-    fn seen(&self, x: &Points) -> Seen {
-        let mut seen = Seen { ways: [[[0.0; LANES]; 3]; 3], radii: [[0.0; LANES]; 3] };
-        for k in 0..3 {
-            for l in 0..LANES {
-                let way = [0, 1, 2].map(|axis: usize| self.corners[k][axis] - x[axis][l]);
-                (0..3).for_each(|axis| seen.ways[k][axis][l] = way[axis]);
-                seen.radii[k][l] = (way[0] * way[0] + way[1] * way[1] + way[2] * way[2]).sqrt();
-            }
-        }
-        seen
+    fn seen<S: Simd>(&self, x: &Ways<S>) -> Seen<S> {
+        let [a, b, c] = &self.corners;
+        let ways = [way(x, a), way(x, b), way(x, c)];
+        let [a, b, c] = &ways;
+        Seen { radii: [dot(a, a).sqrt(), dot(b, b).sqrt(), dot(c, c).sqrt()], ways }
     }
 
+    /// Solid angles.
     #[inline(always)]
-    fn height(&self, ways: &[[Lane; 3]; 3], l: usize) -> f64 {
-        let n = &self.normal;
-        n.x * ways[0][0][l] + n.y * ways[0][1][l] + n.z * ways[0][2][l]
-    }
-
-    #[inline(always)]
-    fn angles(&self, ways: &[[Lane; 3]; 3], radii: &[Lane; 3]) -> Lane {
-        let dot = |i: usize, j: usize, l: usize| {
-            ways[i][0][l] * ways[j][0][l] + ways[i][1][l] * ways[j][1][l] + ways[i][2][l] * ways[j][2][l]
-        };
-        let mut angles = [0.0; LANES];
-        for l in 0..LANES {
-            let [ra, rb, rc] = [radii[0][l], radii[1][l], radii[2][l]];
-            let volume = self.height(ways, l) * self.double_area;
-            let denominator = ra * rb * rc + dot(0, 1, l) * rc + dot(0, 2, l) * rb + dot(1, 2, l) * ra;
-            angles[l] = 2.0 * argument(volume, denominator);
-        }
-        angles
+    fn angles<S: Simd>(&self, seen: &Seen<S>) -> Wide<S> {
+        let ([a, b, c], [ra, rb, rc]) = (&seen.ways, seen.radii);
+        let volume = along(a, &self.normal) * self.double_area;
+        let denominator = ra * rb * rc + dot(a, b) * rc + dot(a, c) * rb + dot(b, c) * ra;
+        volume.argument(denominator) * 2.0
     }
 
     /// [`means`](Self::means), and their gradients with respect to the corners; that with respect to the point is minus their sum.
     pub fn means_with_gradients(&self, x: &Points, on: Option<usize>) -> (Lane, [[Lane; 3]; 3]) {
-        let mut out = ([0.0; LANES], [[[0.0; LANES]; 3]; 3]);
-        widest(
+        struct Gradients<'a>(&'a Triangle, &'a Points, Option<usize>);
+        impl WithSimd for Gradients<'_> {
+            type Output = (Lane, [[Lane; 3]; 3]);
+
             #[inline(always)]
-            || out = self.gradients_inline(x, on),
-        );
-        out
+            fn with_simd<S: Simd>(self, simd: S) -> Self::Output {
+                let (mut means, mut gradients) = ([0.0; LANES], [[[0.0; LANES]; 3]; 3]);
+                for part in 0..Wide::<S>::PARTS {
+                    let [x, y, z] = self.1;
+                    let x = [Wide::load(simd, x, part), Wide::load(simd, y, part), Wide::load(simd, z, part)];
+                    let (mean, gradient) = self.0.gradients_of(simd, &x, self.2);
+                    mean.store(&mut means, part);
+                    for k in 0..3 {
+                        for axis in 0..3 {
+                            gradient[k][axis].store(&mut gradients[k][axis], part);
+                        }
+                    }
+                }
+                (means, gradients)
+            }
+        }
+        Arch::new().dispatch(Gradients(self, x, on))
     }
 
     #[inline(always)]
-    fn gradients_inline(&self, x: &Points, on: Option<usize>) -> (Lane, [[Lane; 3]; 3]) {
-        let Seen { ways, radii } = self.seen(x);
-        let n: [f64; 3] = self.normal.into();
-        let mut sums = [0.0; LANES];
-        let mut gradients = [[[0.0; LANES]; 3]; 3];
-        let mut of_normal = [[0.0; LANES]; 3];
-        let mut heights = [0.0; LANES];
-        if on.is_none() {
-            for l in 0..LANES {
-                heights[l] = self.height(&ways, l);
-            }
-        }
+    fn gradients_of<S: Simd>(&self, simd: S, x: &Ways<S>, on: Option<usize>) -> (Wide<S>, [Ways<S>; 3]) {
+        let seen = self.seen(x);
+        let Seen { ways, radii } = &seen;
+        let zero = Wide::splat(simd, 0.0);
+        let (n, mut sum, mut of_normal) = (&self.normal, zero, [zero; 3]);
+        let mut gradients = [[zero; 3]; 3];
+        let height = if on.is_none() { along(&ways[0], n) } else { zero };
+        let one = Wide::splat(simd, 1.0);
+        let inverse_radii = [one / radii[0], one / radii[1], one / radii[2]];
         for k in 0..3 {
             if on == Some(k) {
                 continue;
             }
             let j = (k + 1) % 3;
-            let (m, e, length): ([f64; 3], [f64; 3], f64) =
-                (self.outwards[k].into(), self.along[k].into(), self.lengths[k]);
-            for l in 0..LANES {
-                let a = [ways[k][0][l], ways[k][1][l], ways[k][2][l]];
-                let b = [ways[j][0][l], ways[j][1][l], ways[j][2][l]];
-                let (ra, rb) = (radii[k][l], radii[j][l]);
-                let s = ra + rb;
-                let q = log_ratio(s, length);
-                let inverse = 1.0 / (ra * rb + dot(&a, &b));
-                let distance = dot(&m, &a);
-                sums[l] += q * distance;
-                let turned = cross(&a, &e);
-                // The edge turns.
-                let of_edge = cross(&n, &a);
-                let along = dot(&e, &of_edge);
-                // dQ = (s dL - L ds) / (r_a r_b + r_a.r_b), and the solid angle's part of this edge.
-                let volume = cross(&a, &b);
-                let (factor, high) = (distance * inverse, heights[l] * inverse);
-                let (by_ra, by_rb) = (1.0 / ra, 1.0 / rb);
-                for axis in 0..3 {
-                    of_normal[axis][l] += q * turned[axis];
-                    let turn = q * (of_edge[axis] - e[axis] * along) / length;
-                    gradients[k][axis][l] +=
-                        q * m[axis] - turn - factor * (s * e[axis] + length * by_ra * a[axis])
-                            + high * by_ra * volume[axis];
-                    gradients[j][axis][l] += turn
-                        + factor * (s * e[axis] - length * by_rb * b[axis])
-                        + high * by_rb * volume[axis];
-                }
+            let (m, e, length) = (&self.outwards[k], &self.along[k], self.lengths[k]);
+            let (a, b) = (&ways[k], &ways[j]);
+            let s = radii[k] + radii[j];
+            let q = s.log_ratio(length);
+            let inverse = one / (radii[k] * radii[j] + dot(a, b));
+            let distance = along(a, m);
+            sum = sum + q * distance;
+            let turned = cross_one(a, e);
+            // The edge turns: n x a, of which what is along the edge does not count.
+            let [x, y, z] = cross_one(a, n);
+            let of_edge = [-x, -y, -z];
+            let stretch = along(&of_edge, e);
+            // dQ = (s dL - L ds) / (r_a r_b + r_a.r_b), and the solid angle's part of this edge.
+            let volume = cross(a, b);
+            let (factor, high) = (distance * inverse, height * inverse);
+            let (high_a, high_b) = (high * inverse_radii[k], high * inverse_radii[j]);
+            let shorter = factor * length;
+            let (by_a, by_b) = (shorter * inverse_radii[k], shorter * inverse_radii[j]);
+            let (longer, by_length) = (factor * s, q * (1.0 / length));
+            for axis in 0..3 {
+                of_normal[axis] = of_normal[axis] + q * turned[axis];
+                let turn = by_length * (of_edge[axis] - stretch * e[axis]);
+                let stretched = longer * e[axis];
+                gradients[k][axis] = gradients[k][axis] + q * m[axis] - turn - stretched - by_a * a[axis]
+                    + high_a * volume[axis];
+                gradients[j][axis] =
+                    gradients[j][axis] + turn + stretched - by_b * b[axis] + high_b * volume[axis];
             }
         }
         if on.is_none() {
-            let angles = self.angles(&ways, &radii);
-            for l in 0..LANES {
-                sums[l] -= heights[l] * angles[l];
-                for axis in 0..3 {
-                    of_normal[axis][l] -= angles[l] * ways[0][axis][l];
-                    gradients[0][axis][l] -= angles[l] * n[axis];
-                }
+            let angles = self.angles(&seen);
+            sum = sum - height * angles;
+            for axis in 0..3 {
+                of_normal[axis] = of_normal[axis] - angles * ways[0][axis];
+                gradients[0][axis] = gradients[0][axis] - angles * n[axis];
             }
         }
         let by = 2.0 / self.double_area;
+        // The normal turns with the area vector, and the area grows by half n x (opposite edge).
+        let normal = along(&of_normal, n);
+        let of_area = [of_normal[0] - normal * n.x, of_normal[1] - normal * n.y, of_normal[2] - normal * n.z];
+        let shrink = sum * by;
         for k in 0..3 {
-            let opposite: [f64; 3] = self.opposite(k).into();
-            // The area grows by half n x (opposite edge).
-            let grows = cross(&n, &opposite);
-            for l in 0..LANES {
-                let of = [of_normal[0][l], of_normal[1][l], of_normal[2][l]];
-                let along = dot(&n, &of);
-                let of_area = [0, 1, 2].map(|axis: usize| (of[axis] - n[axis] * along) / self.double_area);
-                let turned = cross(&of_area, &opposite);
-                for axis in 0..3 {
-                    gradients[k][axis][l] = by * (gradients[k][axis][l] + turned[axis])
-                        - by * sums[l] / self.double_area * grows[axis];
-                }
+            let opposite = self.opposite(k);
+            let grows = n.cross(&opposite);
+            let turned = cross_one(&of_area, &opposite);
+            for axis in 0..3 {
+                let of_size = turned[axis] - shrink * (0.5 * self.double_area * grows[axis]);
+                gradients[k][axis] = gradients[k][axis] * by + of_size * (by / self.double_area);
             }
         }
-        (sums.map(|sum| by * sum), gradients)
+        (shrink, gradients)
     }
 
     /// The mean inverse distance between two points of the triangle, 1/m: `4/3 sum_k ln(U / (U - 2 L_k)) / L_k` with the perimeter U (Eibert and

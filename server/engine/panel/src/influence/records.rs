@@ -2,13 +2,10 @@
 
 use moldline_mesh::Vector3;
 
-use super::{
-    far::{Moments, moments, moments_gradient},
-    near::Triangle,
-};
+use super::{figure::Figure, near::Triangle};
 use crate::{
-    clusters::Patch,
-    elements::{Elements, circulation},
+    clusters::{PATCH, Patch, bisect},
+    elements::{Element, Elements, circulation},
     nodes::{Nodes, Smooth},
     panels::Panels,
     surface::Surface,
@@ -23,12 +20,17 @@ pub(crate) struct Layout {
     pub sheets: Sheets,
     pub elements: Elements,
     pub patches: Vec<Patch>,
+    /// The element at every place, patch after patch.
+    pub order: Vec<u32>,
+    /// Panels that are tested together.
+    pub groups: Vec<Vec<u32>>,
     /// Cuts on whose sides the test functions differ.
     pub lines: Vec<Line>,
     /// Connected piece of every unknown.
     pub pieces: Vec<u32>,
-    /// Largest distance of a corner of each element from its centroid, at the set-up's positions.
+    /// Largest distance of a corner from the corners' mean, at the set-up's positions: of the element at every place, and of every panel.
     pub reach: Vec<f64>,
+    pub panel_reach: Vec<f64>,
 }
 
 /// An edge that is cut, as the upper panel runs through it.
@@ -49,23 +51,31 @@ impl Layout {
             let centre = corners.iter().sum::<Vector3>() / corners.len() as f64;
             corners.iter().map(|c| (c - centre).norm()).fold(0.0, f64::max)
         };
-        let of_element = |element: usize| {
-            let element = &elements.list[element];
-            reach(&element.of_corners(&at(element.panel as usize)))
-        };
+        let of_element = |element: &Element| element.of_corners(&at(element.panel as usize));
+        let of_panel = |panel: usize| reach(&at(panel)[..panels.sides(panel)]);
         let (low, high) = points
             .iter()
             .fold((Vector3::repeat(f64::INFINITY), Vector3::repeat(f64::NEG_INFINITY)), |(low, high), p| {
                 (low.inf(p), high.sup(p))
             });
-        let centres: Vec<Vector3> = (0..panels.len()).map(|p| at(p).iter().sum::<Vector3>() / 4.0).collect();
+        let centres: Vec<Vector3> =
+            elements.list.iter().map(|e| of_element(e).iter().sum::<Vector3>() / 3.0).collect();
+        let corners: Vec<[u32; 4]> =
+            elements.list.iter().map(|e| nodes.of_corner[e.panel as usize]).collect();
+        let (order, patches) = Patch::cut(&centres, &corners);
+        let middles: Vec<Vector3> = (0..panels.len()).map(|p| at(p).iter().sum::<Vector3>() / 4.0).collect();
+        let mut groups = Vec::new();
+        bisect((0..panels.len() as u32).collect(), &middles, PATCH, &mut groups);
         Self {
             smooth: Smooth::new(panels, wakes, points),
             sheets: Sheets::new(wakes, &nodes, (high - low).norm()),
-            patches: Patch::cut(&centres, &nodes.of_corner),
+            patches,
             lines: lines(panels, wakes, &nodes),
             pieces: nodes.row_point.iter().map(|p| panels.piece[*p as usize]).collect(),
-            reach: (0..elements.len()).map(of_element).collect(),
+            reach: order.iter().map(|e| reach(&of_element(&elements.list[*e as usize]))).collect(),
+            panel_reach: (0..panels.len()).map(of_panel).collect(),
+            order,
+            groups,
             elements,
             nodes,
         }
@@ -87,7 +97,7 @@ impl Layout {
     /// Values at the corners of an element, from those of the nodes.
     pub fn element_values(&self, element: usize, nodes: &[f64]) -> [f64; 3] {
         let element = &self.elements.list[element];
-        element.of_corners(&self.nodes.of_corner[element.panel as usize]).map(|n| nodes[n as usize])
+        element.of_corners(&self.nodes.of_corner[element.panel as usize].map(|n| nodes[n as usize]))
     }
 
     /// Circulations of the wakes' corners.
@@ -128,18 +138,16 @@ pub(crate) struct Influence<'a> {
     pub panels: &'a Panels,
     pub layout: &'a Layout,
     pub surface: &'a Surface,
-    pub(super) sources: Vec<Source>,
-    /// Centroids and moments of the sources, one list for each number.
+    /// The element at every place as it acts from afar ...
+    pub(super) far: Vec<Figure>,
+    /// ... and the same with one list for each number, as loops over many read them.
     pub(super) figures: [Vec<f64>; 9],
     pub(super) triangles: Vec<Triangle>,
+    /// Circulations of every element for unit values at the corners of its panel.
+    pub(super) units: Vec<[Vector3; 4]>,
+    /// The same of the element at every place: by corner and axis.
+    pub(super) unit_charges: [[Vec<f64>; 3]; 4],
     pub(super) sheets: Vec<Sheet>,
-}
-
-/// An element as it acts from afar.
-#[derive(Clone, Debug)]
-pub(super) struct Source {
-    pub centroid: Vector3,
-    pub moments: Moments,
 }
 
 /// A triangle of a wake.
@@ -147,22 +155,27 @@ pub(super) struct Source {
 pub(super) struct Sheet {
     pub triangle: Triangle,
     pub circulations: [u32; 3],
-    /// Points at the ends of its sides, where they are points of the surface.
-    pub sides: [Option<[u32; 2]>; 3],
+    /// Circulations of the triangle for unit values at its corners.
+    pub units: [Vector3; 3],
+    /// Those of its corners that are points of the surface.
+    pub points: [Option<u32>; 3],
 }
 
 impl<'a> Influence<'a> {
     pub fn new(panels: &'a Panels, layout: &'a Layout, surface: &'a Surface) -> Self {
         let triangles: Vec<Triangle> = surface.corners.iter().map(|c| Triangle::new(*c)).collect();
-        let source = |corners: &[Vector3; 3]| {
-            let (centroid, moments) = plane_figure(corners);
-            Source { centroid, moments }
-        };
-        let sources: Vec<Source> = surface.corners.iter().map(source).collect();
-        let figures = std::array::from_fn(|f| {
-            let number = |s: &Source| if f < 3 { s.centroid[f] } else { s.moments[f - 3] };
-            sources.iter().map(number).collect()
+        let far: Vec<Figure> = layout
+            .order
+            .iter()
+            .map(|element| Figure::new(&surface.corners[*element as usize..][..1]))
+            .collect();
+        let units = layout.elements.list.iter().zip(&surface.corners);
+        let units: Vec<[Vector3; 4]> =
+            units.map(|(element, corners)| element.unit_circulations(corners)).collect();
+        let unit_charges = std::array::from_fn(|corner| {
+            layout.afar(&units.iter().map(|unit| unit[corner]).collect::<Vec<Vector3>>())
         });
+        let figures = by_number(&far);
         let sheets = layout
             .sheets
             .triangles
@@ -172,14 +185,16 @@ impl<'a> Influence<'a> {
                     let corner = sheet.corners[k];
                     (!corner.far && corner.x == corner.yz).then_some(corner.yz)
                 };
+                let corners = [0, 1, 2].map(|k| layout.corner(&surface.points, k, sheet));
                 Sheet {
-                    triangle: Triangle::new([0, 1, 2].map(|k| layout.corner(&surface.points, k, sheet))),
+                    triangle: Triangle::new(corners),
+                    units: [0, 1, 2].map(|k: usize| -0.5 * (corners[(k + 2) % 3] - corners[(k + 1) % 3])),
                     circulations: sheet.circulations,
-                    sides: [0, 1, 2].map(|k| Some([point(k)?, point((k + 1) % 3)?])),
+                    points: [0, 1, 2].map(point),
                 }
             })
             .collect();
-        Self { panels, layout, surface, sources, figures, triangles, sheets }
+        Self { panels, layout, surface, far, figures, triangles, units, unit_charges, sheets }
     }
 
     /// Points of view: the surface itself, and the factor of y in its image.
@@ -202,15 +217,17 @@ impl<'a> Influence<'a> {
                 .collect(),
             nodes,
             gamma,
-            afar: by_axis(&elements),
+            afar: self.layout.afar(&elements),
             elements,
         }
     }
 }
 
-/// Vectors by axis, as loops over many of them read them.
-pub(super) fn by_axis(vectors: &[Vector3]) -> [Vec<f64>; 3] {
-    [0, 1, 2].map(|axis| vectors.iter().map(|v| v[axis]).collect())
+/// Figures with one list for each number.
+pub(super) fn by_number(figures: &[Figure]) -> [Vec<f64>; 9] {
+    std::array::from_fn(|f| {
+        figures.iter().map(|x| if f < 3 { x.centroid[f] } else { x.moments[f - 3] }).collect()
+    })
 }
 
 /// Circulations for values of the unknowns.
@@ -220,58 +237,21 @@ pub(crate) struct Charges {
     pub nodes: Vec<f64>,
     pub gamma: Vec<f64>,
     pub elements: Vec<Vector3>,
-    /// The same by axis.
+    /// The same of the element at every place, by axis.
     pub(super) afar: [Vec<f64>; 3],
     pub sheets: Vec<Vector3>,
 }
 
 impl Layout {
+    /// What elements have, of the one at every place, by axis.
+    pub(super) fn afar(&self, elements: &[Vector3]) -> [Vec<f64>; 3] {
+        [0, 1, 2].map(|axis| self.order.iter().map(|e| elements[*e as usize][axis]).collect())
+    }
+
     /// The position of a corner of a wake.
     pub fn corner(&self, points: &[Vector3], k: usize, sheet: &crate::wake::SheetTriangle) -> Vector3 {
         let corner = &sheet.corners[k];
         let far = if corner.far { self.sheets.length } else { 0.0 };
         corner.position(points) + far * Vector3::x()
     }
-}
-
-/// Centroid of a triangle, and second moments about it.
-pub(super) fn plane_figure(corners: &[Vector3; 3]) -> (Vector3, Moments) {
-    let centroid = corners.iter().sum::<Vector3>() / 3.0;
-    let mut sum = [0.0; 6];
-    for corner in corners {
-        let part = moments(&(corner - centroid), 1.0 / 12.0);
-        sum.iter_mut().zip(part).for_each(|(s, p)| *s += p);
-    }
-    (centroid, sum)
-}
-
-/// The change of [`plane_figure`] with the corners.
-pub(super) fn plane_figure_jvp(
-    corners: &[Vector3; 3],
-    centroid: &Vector3,
-    change: &[Vector3; 3],
-) -> (Vector3, Moments) {
-    let mut sum = [0.0; 6];
-    for (corner, d) in corners.iter().zip(change) {
-        let x = corner - centroid;
-        let part = [
-            2.0 * x.x * d.x,
-            2.0 * x.y * d.y,
-            2.0 * x.z * d.z,
-            x.x * d.y + x.y * d.x,
-            x.y * d.z + x.z * d.y,
-            x.z * d.x + x.x * d.z,
-        ];
-        (0..6).for_each(|k| sum[k] += part[k] / 12.0);
-    }
-    (change.iter().sum::<Vector3>() / 3.0, sum)
-}
-
-/// The transpose: seeds of the corners from those of centroid and moments.
-pub(super) fn plane_figure_vjp(
-    corners: &[Vector3; 3],
-    centroid: &Vector3,
-    (by_centroid, by_moments): (&Vector3, &Moments),
-) -> [Vector3; 3] {
-    std::array::from_fn(|k| by_centroid / 3.0 + moments_gradient(by_moments, &(corners[k] - centroid)) / 12.0)
 }

@@ -8,7 +8,7 @@ use super::{
     lu::Factor,
     operator::{Inverse, Operator},
 };
-use crate::{PanelError, clusters::bisect};
+use crate::{Monitor, PanelError, Stage, clusters::bisect};
 
 /// Panels of a block at most.
 pub(super) const BLOCK: usize = 400;
@@ -22,22 +22,28 @@ pub(super) struct BlockJacobi {
 
 impl BlockJacobi {
     /// `centres` has a point of every row.
-    pub fn new(operator: &(dyn Operator + Sync), centres: &[Vector3]) -> Result<Self, PanelError> {
+    pub fn new(
+        operator: &(dyn Operator + Sync),
+        centres: &[Vector3],
+        monitor: &dyn Monitor<Stage>,
+    ) -> Result<Self, PanelError> {
         let mut members = Vec::new();
         bisect((0..centres.len() as u32).collect(), centres, BLOCK, &mut members);
-        let factors: Vec<Result<Factor<_>, PanelError>> =
-            members.par_iter().map(|members| Factor::new(operator.block(members), |_| true)).collect();
+        let factors: Vec<Result<Factor<_>, PanelError>> = members
+            .par_iter()
+            .map(|members| Factor::new(operator.block(members), |_| !monitor.cancelled()))
+            .collect();
         Ok(Self { members, factors: factors.into_iter().collect::<Result<_, _>>()? })
     }
 
-    fn solve_column(&self, b: &[f64], transposed: bool) -> Vec<f64> {
+    fn solve_column(&self, b: &[f64], transposed: bool, monitor: &dyn Monitor<Stage>) -> Vec<f64> {
         let parts: Vec<Mat<f64>> = self
             .members
             .par_iter()
             .zip(&self.factors)
             .map(|(members, factor)| {
                 let mut part = Mat::from_fn(members.len(), 1, |i, _| b[members[i] as usize]);
-                factor.solve_in_place(&mut part, transposed);
+                factor.solve_in_place(&mut part, transposed, monitor);
                 part
             })
             .collect();
@@ -50,7 +56,7 @@ impl BlockJacobi {
 }
 
 impl Inverse for BlockJacobi {
-    fn solve(&self, right: &[Vec<f64>], transposed: bool) -> Vec<Vec<f64>> {
-        right.iter().map(|b| self.solve_column(b, transposed)).collect()
+    fn solve(&self, right: &[Vec<f64>], transposed: bool, monitor: &dyn Monitor<Stage>) -> Vec<Vec<f64>> {
+        right.iter().map(|b| self.solve_column(b, transposed, monitor)).collect()
     }
 }

@@ -1,7 +1,7 @@
 //! GMRES (Saad and Schultz, SIAM J. Sci. Stat. Comput. 7, 1986), preconditioned from the right, column by column.
 
 use super::operator::{Inverse, Operator, Solved, maximum};
-use crate::{Monitor, PanelError, Stage};
+use crate::{Monitor, PanelError, Stage, progress::poll};
 
 /// Iterations of a column at most.
 pub(super) const ITERATIONS: usize = 200;
@@ -44,6 +44,7 @@ impl Preconditioned<'_> {
             solved.rounds = solved.rounds.max(iterations);
             solved.columns.push(x);
         }
+        poll(monitor)?;
         Ok(solved)
     }
 
@@ -59,10 +60,8 @@ impl Preconditioned<'_> {
         let mut basis = vec![b.iter().map(|x| x / norm).collect::<Vec<f64>>()];
         let mut hessenberg = Hessenberg::new(norm);
         while hessenberg.residual() > aim && *iterations < ITERATIONS {
-            if monitor.cancelled() {
-                return Err(PanelError::Cancelled);
-            }
-            let mut v = self.times(&self.solve(&basis[basis.len() - 1]));
+            poll(monitor)?;
+            let mut v = self.times(&self.solve(&basis[basis.len() - 1], monitor));
             let column = orthogonalise(&mut v, &basis);
             let next = dot(&v, &v).sqrt();
             hessenberg.push(column, next);
@@ -77,15 +76,15 @@ impl Preconditioned<'_> {
         for (q, y) in basis.iter().zip(hessenberg.solve()) {
             sum.iter_mut().zip(q).for_each(|(s, q)| *s += y * q);
         }
-        Ok(self.solve(&sum))
+        Ok(self.solve(&sum, monitor))
     }
 
     fn times(&self, x: &Vec<f64>) -> Vec<f64> {
         self.operator.times(std::slice::from_ref(x), self.transposed).swap_remove(0)
     }
 
-    fn solve(&self, b: &Vec<f64>) -> Vec<f64> {
-        self.inverse.solve(std::slice::from_ref(b), self.transposed).swap_remove(0)
+    fn solve(&self, b: &Vec<f64>, monitor: &dyn Monitor<Stage>) -> Vec<f64> {
+        self.inverse.solve(std::slice::from_ref(b), self.transposed, monitor).swap_remove(0)
     }
 }
 

@@ -12,12 +12,14 @@ use faer::{
 use rayon::prelude::*;
 
 use super::operator::{Inverse, maximum};
-use crate::PanelError;
+use crate::{Monitor, PanelError, Stage};
 
 /// Columns of a block.
 const BLOCK: usize = 192;
 /// Columns of a chunk.
 const CHUNK: usize = 192;
+/// Right-hand sides that are solved for at a time.
+const RIGHT: usize = 8;
 
 /// A factorised square matrix: `P A = L U`.
 #[derive(Clone, Debug)]
@@ -30,7 +32,7 @@ pub(crate) struct Factor<T> {
 
 impl<T: RealField + Send + Sync> Factor<T> {
     /// Factorises in place. `report` gets the fraction of work done and returns whether to go on.
-    pub fn new(mut matrix: Mat<T>, report: impl Fn(f64) -> bool) -> Result<Self, PanelError> {
+    pub fn new(mut matrix: Mat<T>, report: impl Fn(f64) -> bool + Sync) -> Result<Self, PanelError> {
         let n = matrix.nrows();
         let mut rows: Vec<usize> = (0..n).collect();
         for first in (0..n).step_by(BLOCK) {
@@ -45,6 +47,10 @@ impl<T: RealField + Send + Sync> Factor<T> {
             let block = block.as_ref();
             left.par_col_chunks_mut(CHUNK).for_each(|chunk| permute(chunk.get_mut(first.., ..), &moves));
             right.par_col_chunks_mut(CHUNK).for_each(|chunk| {
+                // The rest of a large matrix takes seconds.
+                if !report(done) {
+                    return;
+                }
                 let mut chunk = chunk.get_mut(first.., ..);
                 permute(chunk.as_mut(), &moves);
                 let (mut top, bottom) = chunk.split_at_row_mut(width);
@@ -55,25 +61,36 @@ impl<T: RealField + Send + Sync> Factor<T> {
             let old: Vec<usize> = moves.iter().map(|(_, from)| rows[first + from]).collect();
             moves.iter().zip(old).for_each(|((to, _), row)| rows[first + to] = row);
         }
-        Ok(Self { matrix, rows })
+        if report(1.0) { Ok(Self { matrix, rows }) } else { Err(PanelError::Cancelled) }
     }
 
-    /// Solves `A X = B`, or `A^T X = B`, in place.
-    pub fn solve_in_place(&self, right: &mut Mat<T>, transposed: bool) {
-        if transposed { self.solve_transposed(right) } else { self.solve_plain(right) }
+    /// Solves `A X = B`, or `A^T X = B`, in place; leaves off once `monitor` has cancelled.
+    pub fn solve_in_place(&self, right: &mut Mat<T>, transposed: bool, monitor: &dyn Monitor<Stage>) {
+        if transposed { self.solve_transposed(right, monitor) } else { self.solve_plain(right, monitor) }
     }
 
-    fn solve_plain(&self, right: &mut Mat<T>) {
+    fn solve_plain(&self, right: &mut Mat<T>, monitor: &dyn Monitor<Stage>) {
         let permuted = Mat::from_fn(right.nrows(), right.ncols(), |i, j| right[(self.rows[i], j)].clone());
         *right = permuted;
-        triangular::solve_unit_lower_triangular_in_place(self.matrix.as_ref(), right.as_mut(), Par::Seq);
-        triangular::solve_upper_triangular_in_place(self.matrix.as_ref(), right.as_mut(), Par::Seq);
+        let matrix = self.matrix.as_ref();
+        in_steps(
+            right,
+            monitor,
+            [&|chunk| triangular::solve_unit_lower_triangular_in_place(matrix, chunk, Par::Seq), &|chunk| {
+                triangular::solve_upper_triangular_in_place(matrix, chunk, Par::Seq)
+            }],
+        );
     }
 
-    fn solve_transposed(&self, right: &mut Mat<T>) {
+    fn solve_transposed(&self, right: &mut Mat<T>, monitor: &dyn Monitor<Stage>) {
         let transposed: MatRef<'_, T> = self.matrix.transpose();
-        triangular::solve_lower_triangular_in_place(transposed, right.as_mut(), Par::Seq);
-        triangular::solve_unit_upper_triangular_in_place(transposed, right.as_mut(), Par::Seq);
+        in_steps(
+            right,
+            monitor,
+            [&|chunk| triangular::solve_lower_triangular_in_place(transposed, chunk, Par::Seq), &|chunk| {
+                triangular::solve_unit_upper_triangular_in_place(transposed, chunk, Par::Seq)
+            }],
+        );
         let mut out = right.clone();
         for (i, &row) in self.rows.iter().enumerate() {
             (0..right.ncols()).for_each(|j| out[(row, j)] = right[(i, j)].clone());
@@ -82,21 +99,40 @@ impl<T: RealField + Send + Sync> Factor<T> {
     }
 }
 
+/// A solution by a triangle, in place.
+type Step<'a, T> = &'a (dyn Fn(MatMut<'_, T>) + Sync);
+
+/// Two solutions by triangles, one after the other for every few columns, which are independent.
+fn in_steps<T: RealField + Send + Sync>(
+    right: &mut Mat<T>,
+    monitor: &dyn Monitor<Stage>,
+    steps: [Step<'_, T>; 2],
+) {
+    right.as_mut().par_col_chunks_mut(RIGHT).for_each(|mut chunk| {
+        for step in steps {
+            if monitor.cancelled() {
+                return;
+            }
+            step(chunk.as_mut());
+        }
+    });
+}
+
 impl Inverse for Factor<f64> {
-    fn solve(&self, right: &[Vec<f64>], transposed: bool) -> Vec<Vec<f64>> {
+    fn solve(&self, right: &[Vec<f64>], transposed: bool, monitor: &dyn Monitor<Stage>) -> Vec<Vec<f64>> {
         let mut columns = Mat::from_fn(right[0].len(), right.len(), |i, j| right[j][i]);
-        self.solve_in_place(&mut columns, transposed);
+        self.solve_in_place(&mut columns, transposed, monitor);
         (0..right.len()).map(|j| columns.col_as_slice(j).to_vec()).collect()
     }
 }
 
 /// With columns scaled to their maximum norm, so that a small residual does not underflow.
 impl Inverse for Factor<f32> {
-    fn solve(&self, right: &[Vec<f64>], transposed: bool) -> Vec<Vec<f64>> {
+    fn solve(&self, right: &[Vec<f64>], transposed: bool, monitor: &dyn Monitor<Stage>) -> Vec<Vec<f64>> {
         let scales: Vec<f64> =
             right.iter().map(|b| maximum(b)).map(|s| if s > 0.0 { s } else { 1.0 }).collect();
         let mut columns = Mat::from_fn(right[0].len(), right.len(), |i, j| (right[j][i] / scales[j]) as f32);
-        self.solve_in_place(&mut columns, transposed);
+        self.solve_in_place(&mut columns, transposed, monitor);
         let column = |j: usize| columns.col_as_slice(j).iter().map(|x| f64::from(*x) * scales[j]).collect();
         (0..right.len()).map(column).collect()
     }

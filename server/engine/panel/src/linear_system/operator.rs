@@ -2,6 +2,8 @@
 
 use faer::Mat;
 
+use crate::{Monitor, Stage};
+
 /// A square linear operator A.
 pub(crate) trait Operator {
     /// Number of rows.
@@ -16,8 +18,8 @@ pub(crate) trait Operator {
 
 /// The inverse of an operator, exact up to rounding or approximate.
 pub(crate) trait Inverse {
-    /// Solves `A x = b`, or `A^T x = b`, for every column b.
-    fn solve(&self, right: &[Vec<f64>], transposed: bool) -> Vec<Vec<f64>>;
+    /// Solves `A x = b`, or `A^T x = b`, for every column b; anything once `monitor` has cancelled, which callers look at.
+    fn solve(&self, right: &[Vec<f64>], transposed: bool, monitor: &dyn Monitor<Stage>) -> Vec<Vec<f64>>;
 }
 
 /// Solutions and their quality.

@@ -1,7 +1,7 @@
 //! Iterative refinement (Wilkinson): corrections by an inverse that is exact but for rounding, with residuals in double precision.
 
 use super::operator::{Inverse, Operator, Solved, maximum};
-use crate::{Monitor, PanelError, Stage};
+use crate::{Monitor, PanelError, Stage, progress::poll};
 
 /// Rounds at most.
 const ROUNDS: usize = 10;
@@ -35,11 +35,10 @@ pub(super) fn refine(
         if settled || residual.is_nan() || round == ROUNDS || (residual > 0.5 * least && round > 0) {
             return Ok(Solved { columns, residual, rounds: round });
         }
-        if monitor.cancelled() {
-            return Err(PanelError::Cancelled);
-        }
+        poll(monitor)?;
         least = residual;
-        let corrections = inverse.solve(&residuals, transposed);
+        let corrections = inverse.solve(&residuals, transposed, monitor);
+        poll(monitor)?;
         for (x, dx) in columns.iter_mut().zip(corrections) {
             x.iter_mut().zip(dx).for_each(|(x, dx)| *x += dx);
         }

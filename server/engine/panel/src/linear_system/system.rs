@@ -71,7 +71,7 @@ impl System {
                 Method::Double(Factor::new(operator.to_dense(|x| x), report)?)
             }
             Solver::Single => Method::Single(Factor::new(operator.to_dense(|x| x as f32), report)?),
-            Solver::Iterative => Method::Iterative(BlockJacobi::new(&operator, centres)?),
+            Solver::Iterative => Method::Iterative(BlockJacobi::new(&operator, centres, monitor)?),
         };
         monitor.progress(Stage::Factorisation, 1.0);
         Ok(Self { operator, method })

@@ -6,3 +6,4 @@ mod derivatives;
 mod flow;
 mod refusals;
 mod solvers;
+mod wakes;

@@ -60,7 +60,7 @@ fn trailing_edges_that_are_missing_or_wrong() {
     let rule = |trailing_edges| Options { trailing_edges, ..Options::default() };
     assert!(matches!(
         refused(&sphere(4), Options::default()),
-        PanelError::NoTrailingEdge { how } if how.contains("120")
+        error @ PanelError::NoTrailingEdge { .. } if error.to_string().contains("120 degrees")
     ));
     assert!(matches!(
         refused(&mesh, rule(TrailingEdges::Groups(vec!["missing".to_owned()]))),

@@ -45,7 +45,7 @@ pub(super) struct File<'a> {
     pub(super) bytes: &'a [u8],
     little_endian: bool,
     header_bytes: usize,
-    compressed: bool,
+    pub(super) compressed: bool,
     /// The appended data behind their underscore, and whether they are base64.
     appended: Option<(&'a [u8], bool)>,
     /// Bytes of appended data that arrays have taken.
