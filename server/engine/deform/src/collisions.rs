@@ -4,10 +4,12 @@ use std::sync::Arc;
 
 use moldline_mesh::{Crossings, Plane, SurfaceMesh};
 
-use crate::{DeformError, Monitor, OnEvent, Stage, ownership::Ownership};
+use crate::{DeformError, Monitor, OnEvent, SetupError, Stage, ownership::Ownership};
 
 /// Pairs of cells that are told at most.
 const MOST: usize = 1000;
+/// Pairs of cells that may cross in the mesh as it is given, for every cell of it.
+const KNOWN: usize = 16;
 
 /// The search for collisions after a deformation.
 #[derive(Clone, Debug)]
@@ -23,22 +25,33 @@ pub(crate) struct Collisions {
 }
 
 impl Collisions {
+    /// # Errors
+    /// [`SetupError::Crossings`] if far more cells of the mesh cross than a mesh can have by mistake; cancelled.
     pub fn new(
         on_event: OnEvent,
         mesh: &Arc<SurfaceMesh>,
         ownership: &Arc<Ownership>,
         half: Option<(&Plane, f64)>,
-    ) -> Self {
+        monitor: &dyn Monitor<Stage>,
+    ) -> Result<Self, SetupError> {
         let search = Crossings::new(mesh);
+        let limit = KNOWN * mesh.cells.len();
         let known = match on_event {
             OnEvent::Ignore => Vec::new(),
-            _ => search.find(&mesh.vertices, usize::MAX, &|| false).unwrap_or_default(),
+            _ => {
+                let found = search.find(&mesh.vertices, limit + 1, &|| monitor.cancelled());
+                found.ok_or(SetupError::Cancelled)?
+            }
         };
+        if let Some(&cells) = known.first().filter(|_| known.len() > limit) {
+            let corner = mesh.cells[cells[0] as usize].vertices()[0];
+            return Err(SetupError::Crossings { limit, cells, position: mesh.vertices[corner as usize] });
+        }
         let half = half.map(|(plane, tolerance)| {
             let sum: f64 = mesh.vertices.iter().map(|x| plane.signed_distance(x)).sum();
             (*plane, tolerance, sum.signum())
         });
-        Self { on_event, search, known, half, mesh: mesh.clone(), ownership: ownership.clone() }
+        Ok(Self { on_event, search, known, half, mesh: mesh.clone(), ownership: ownership.clone() })
     }
 
     /// Pairs of cells that cross and did not before, ascending; a cell that crosses its own mirror image is a pair with itself.

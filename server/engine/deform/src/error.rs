@@ -403,6 +403,19 @@ pub enum SetupError {
     /// The seam search does not reproduce the reference mesh.
     #[error("the reference seams cannot be reproduced: {0}")]
     ReferenceSeam(Box<DeformError>),
+    /// Cells pass through each other all over the mesh.
+    #[error(
+        "mesh: more than {limit} pairs of cells pass through each other, the first, cells[{}] and cells[{}], at {position:.4?} m; \
+         fuse the bodies and remesh", cells[0], cells[1]
+    )]
+    Crossings {
+        /// As many pairs are accepted.
+        limit: usize,
+        /// The first pair.
+        cells: [u32; 2],
+        /// Where its first vertex is, m.
+        position: [f64; 3],
+    },
     /// The radial basis system cannot be factorised.
     #[error("radial basis functions of {field}: {reason}")]
     Factorisation {
@@ -572,7 +585,9 @@ impl Failure for SetupError {
                 None => "mesh.vertices".to_owned(),
             },
             Self::BorderOffPlane { vertex, .. } => format!("mesh.vertices[{vertex}]"),
-            Self::RepeatedCells { first: cells, .. } | Self::MixedOrientation { cells, .. } => {
+            Self::RepeatedCells { first: cells, .. }
+            | Self::MixedOrientation { cells, .. }
+            | Self::Crossings { cells, .. } => {
                 format!("mesh.cells[{}]", cells[1])
             }
             Self::DoubleVertices { .. } => "mesh.merge_tolerance".to_owned(),

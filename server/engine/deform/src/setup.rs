@@ -278,7 +278,7 @@ impl Setup {
         };
         let constraints = Constraints::new(&stationary, ownership.clone(), options.seam.polish, tolerance);
         let inspection = Inspection::new(&mesh, &ownership, &reference, &derived.middles);
-        let collisions = Collisions::new(options.on_event, &mesh, &ownership, symmetry.half());
+        let collisions = Collisions::new(options.on_event, &mesh, &ownership, symmetry.half(), monitor)?;
         let report = SetupReport::new(Findings {
             mesh: &mesh,
             topology: &topology,

@@ -7,11 +7,15 @@
 
 mod exact;
 
+use rayon::prelude::*;
+
 use crate::{Cell, SurfaceMesh, Vector3};
 use exact::{Corner, triangles_meet};
 
 /// Cells of a leaf at most.
 const LEAF: usize = 4;
+/// Pairs of nodes from which on they are divided among threads.
+const TASKS: usize = 128;
 /// Part of a cell's size by which neighbours must be apart for a quick answer.
 const APART: f64 = 1e-9;
 
@@ -24,6 +28,14 @@ struct Bounds {
 
 impl Bounds {
     const NONE: Self = Self { low: [f64::INFINITY; 3], high: [f64::NEG_INFINITY; 3] };
+
+    fn of(cell: &Cell, vertices: &[[f64; 3]]) -> Self {
+        let mut around = Self::NONE;
+        for vertex in cell.vertices() {
+            around.add(&vertices[*vertex as usize], &vertices[*vertex as usize]);
+        }
+        around
+    }
 
     fn add(&mut self, low: &[f64; 3], high: &[f64; 3]) {
         for axis in 0..3 {
@@ -44,6 +56,13 @@ struct Node {
     last: u32,
     /// The first child; the second follows it. None for a leaf.
     child: Option<u32>,
+}
+
+/// A mesh whose vertices have moved: boxes of the nodes, and of the cells in the hierarchy's order.
+struct Moved<'a> {
+    vertices: &'a [[f64; 3]],
+    nodes: Vec<Bounds>,
+    cells: Vec<Bounds>,
 }
 
 /// The search for crossing cells of a mesh whose vertices move.
@@ -97,48 +116,69 @@ impl Crossings {
         &self,
         vertices: &[[f64; 3]],
         most: usize,
-        cancelled: &dyn Fn() -> bool,
+        cancelled: &(dyn Fn() -> bool + Sync),
     ) -> Option<Vec<[u32; 2]>> {
-        let bounds = self.bounds(vertices);
+        let cells: Vec<Bounds> =
+            self.order.iter().map(|cell| Bounds::of(&self.cells[*cell as usize], vertices)).collect();
+        let moved = Moved { vertices, nodes: self.bounds(&cells), cells };
         let mut pairs = Vec::new();
-        let mut stack = vec![(0_u32, 0_u32)];
-        let mut steps = 0_u32;
-        while let Some((one, two)) = stack.pop() {
-            steps = steps.wrapping_add(1);
-            if steps.is_multiple_of(4096) && cancelled() {
-                return None;
-            }
-            let (a, b) = (&self.nodes[one as usize], &self.nodes[two as usize]);
-            if one == two {
-                match a.child {
-                    Some(child) => stack.extend([(child, child), (child + 1, child + 1), (child, child + 1)]),
-                    None => self.leaves(vertices, a, a, &mut pairs),
-                }
-                continue;
-            }
-            if !bounds[one as usize].meets(&bounds[two as usize]) {
-                continue;
-            }
-            let larger_first = a.last - a.first >= b.last - b.first;
-            match (a.child, b.child) {
-                (None, None) => self.leaves(vertices, a, b, &mut pairs),
-                (Some(child), _) if larger_first || b.child.is_none() => {
-                    stack.extend([(child, two), (child + 1, two)]);
-                }
-                (_, Some(child)) => stack.extend([(one, child), (one, child + 1)]),
-                (Some(child), None) => stack.extend([(child, two), (child + 1, two)]),
-            }
-            if pairs.len() > most {
-                break;
-            }
+        // Level by level until there is enough for many threads; the same division for any number of them.
+        let mut tasks = vec![[0, 0]];
+        while !tasks.is_empty() && tasks.len() < TASKS {
+            let mut next = Vec::new();
+            tasks.into_iter().for_each(|nodes| self.step(&moved, nodes, &mut next, &mut pairs));
+            tasks = next;
         }
+        let below = |nodes: [u32; 2]| {
+            let (mut stack, mut pairs, mut steps) = (vec![nodes], Vec::new(), 0_u32);
+            while let Some(nodes) = stack.pop().filter(|_| pairs.len() <= most) {
+                if steps.is_multiple_of(4096) && cancelled() {
+                    return None;
+                }
+                steps = steps.wrapping_add(1);
+                self.step(&moved, nodes, &mut stack, &mut pairs);
+            }
+            Some(pairs)
+        };
+        let found: Option<Vec<Vec<[u32; 2]>>> = tasks.into_par_iter().map(below).collect();
+        pairs.extend(found?.into_iter().flatten());
         pairs.sort_unstable();
         pairs.truncate(most);
         Some(pairs)
     }
 
-    /// Boxes of all nodes.
-    fn bounds(&self, vertices: &[[f64; 3]]) -> Vec<Bounds> {
+    /// Looks at two nodes: adds pairs of their children to the stack, or crossing pairs of their cells.
+    fn step(
+        &self,
+        moved: &Moved<'_>,
+        [one, two]: [u32; 2],
+        stack: &mut Vec<[u32; 2]>,
+        pairs: &mut Vec<[u32; 2]>,
+    ) {
+        let (a, b) = (&self.nodes[one as usize], &self.nodes[two as usize]);
+        if one == two {
+            match a.child {
+                Some(child) => stack.extend([[child, child], [child + 1, child + 1], [child, child + 1]]),
+                None => self.leaves(moved, [a, a], pairs),
+            }
+            return;
+        }
+        if !moved.nodes[one as usize].meets(&moved.nodes[two as usize]) {
+            return;
+        }
+        // The larger one is divided, if it can be.
+        let first = a.last - a.first >= b.last - b.first;
+        match (a.child, b.child, first) {
+            (None, None, _) => self.leaves(moved, [a, b], pairs),
+            (Some(child), None, _) | (Some(child), Some(_), true) => {
+                stack.extend([[child, two], [child + 1, two]]);
+            }
+            (_, Some(child), _) => stack.extend([[one, child], [one, child + 1]]),
+        }
+    }
+
+    /// Boxes of all nodes, from those of the cells in the hierarchy's order.
+    fn bounds(&self, cells: &[Bounds]) -> Vec<Bounds> {
         let mut bounds = vec![Bounds::NONE; self.nodes.len()];
         for index in (0..self.nodes.len()).rev() {
             let node = &self.nodes[index];
@@ -151,11 +191,8 @@ impl Crossings {
                     }
                 }
                 None => {
-                    for cell in &self.order[node.first as usize..node.last as usize] {
-                        for vertex in self.cells[*cell as usize].vertices() {
-                            around.add(&vertices[*vertex as usize], &vertices[*vertex as usize]);
-                        }
-                    }
+                    let of_leaf = &cells[node.first as usize..node.last as usize];
+                    of_leaf.iter().for_each(|cell| around.add(&cell.low, &cell.high));
                 }
             }
             bounds[index] = around;
@@ -163,16 +200,29 @@ impl Crossings {
         bounds
     }
 
-    fn leaves(&self, vertices: &[[f64; 3]], one: &Node, two: &Node, pairs: &mut Vec<[u32; 2]>) {
-        let cells = |node: &Node| &self.order[node.first as usize..node.last as usize];
-        for (index, &a) in cells(one).iter().enumerate() {
-            let others = if one.first == two.first { &cells(two)[index + 1..] } else { cells(two) };
-            for &b in others {
-                if cross(vertices, &self.cells[a as usize], &self.cells[b as usize]) {
+    /// Adds the pairs of two leaves, or of one with itself, that cross.
+    fn leaves(&self, moved: &Moved<'_>, [one, two]: [&Node; 2], pairs: &mut Vec<[u32; 2]>) {
+        for i in one.first..one.last {
+            let begin = if one.first == two.first { i + 1 } else { two.first };
+            for j in begin..two.last {
+                if !moved.cells[i as usize].meets(&moved.cells[j as usize]) {
+                    continue;
+                }
+                let [a, b] = [i, j].map(|place| self.order[place as usize]);
+                if cross(moved.vertices, &self.cells[a as usize], &self.cells[b as usize]) {
                     pairs.push([a.min(b), a.max(b)]);
                 }
             }
         }
+    }
+}
+
+/// The ways to cut a cell into triangles.
+fn cuts(cell: &Cell) -> &'static [&'static [[usize; 3]]] {
+    if cell.vertices().len() == 3 {
+        &[&[[0, 1, 2]]]
+    } else {
+        &[&[[0, 1, 2], [0, 2, 3]], &[[1, 2, 3], [1, 3, 0]]]
     }
 }
 
@@ -182,44 +232,39 @@ pub fn cross(vertices: &[[f64; 3]], one: &Cell, two: &Cell) -> bool {
     if apart(one, two, at) {
         return false;
     }
-    let cuts = |cell: &Cell| -> Vec<Vec<[Corner; 3]>> {
-        let corner = |k: usize| (cell.vertices()[k], vertices[cell.vertices()[k] as usize]);
-        let triangle = |corners: [usize; 3]| corners.map(corner);
-        if cell.vertices().len() == 3 {
-            vec![vec![triangle([0, 1, 2])]]
-        } else {
-            vec![
-                vec![triangle([0, 1, 2]), triangle([0, 2, 3])],
-                vec![triangle([1, 2, 3]), triangle([1, 3, 0])],
-            ]
-        }
+    let triangle = |cell: &Cell, corners: &[usize; 3]| -> [Corner; 3] {
+        corners.map(|k| (cell.vertices()[k], vertices[cell.vertices()[k] as usize]))
     };
-    let (ones, twos) = (cuts(one), cuts(two));
-    ones.iter().all(|one| twos.iter().all(|two| one.iter().any(|a| two.iter().any(|b| triangles_meet(a, b)))))
+    let meet = |a: &[usize; 3], b: &[usize; 3]| triangles_meet(&triangle(one, a), &triangle(two, b));
+    cuts(one)
+        .iter()
+        .all(|of_one| cuts(two).iter().all(|of_two| of_one.iter().any(|a| of_two.iter().any(|b| meet(a, b)))))
 }
 
 /// Whether a plane shows at once that two cells have no more in common than the corners that they share: it is between the middles, through a shared edge.
 fn apart(one: &Cell, two: &Cell, at: impl Fn(&u32) -> Vector3) -> bool {
-    let shared: Vec<&u32> = one.vertices().iter().filter(|v| two.vertices().contains(v)).collect();
+    let is_shared = |v: &&u32| one.vertices().contains(v) && two.vertices().contains(v);
+    let mut shared = one.vertices().iter().filter(is_shared);
+    let shared = [shared.next(), shared.next(), shared.next()];
     let middle =
         |cell: &Cell| cell.vertices().iter().map(&at).sum::<Vector3>() / cell.vertices().len() as f64;
     let mut across = middle(two) - middle(one);
     let size = across.norm();
-    if let [a, b] = shared[..] {
+    if let [Some(a), Some(b), None] = shared {
         let edge = at(b) - at(a);
         across -= edge * (edge.dot(&across) / edge.norm_squared());
     }
     let (mut low, mut high) = (f64::NEG_INFINITY, f64::INFINITY);
-    for vertex in one.vertices().iter().filter(|v| !shared.contains(v)) {
+    for vertex in one.vertices().iter().filter(|v| !is_shared(v)) {
         low = low.max(across.dot(&at(vertex)));
     }
-    for vertex in two.vertices().iter().filter(|v| !shared.contains(v)) {
+    for vertex in two.vertices().iter().filter(|v| !is_shared(v)) {
         high = high.min(across.dot(&at(vertex)));
     }
     let margin = APART * size * across.norm();
-    match shared[..] {
-        [] => high - low > margin,
-        [a] | [a, _] => {
+    match shared {
+        [None, ..] => high - low > margin,
+        [Some(a), _, None] => {
             let plane = across.dot(&at(a));
             plane - low > margin && high - plane > margin
         }
@@ -357,7 +402,8 @@ mod tests {
         vertices.extend(vertices.clone());
         cells.extend(cells.clone().iter().map(|cell| cell.map(|v| v + first)));
         let mesh = mesh(vertices, cells);
-        assert!(!Crossings::new(&mesh).find(&mesh.vertices, 10, &|| false).unwrap().is_empty());
+        let found = Crossings::new(&mesh).find(&mesh.vertices, 10, &|| false).unwrap();
+        assert_eq!(found.len(), 10, "no more than asked for");
     }
 
     #[test]
