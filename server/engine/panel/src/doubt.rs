@@ -9,7 +9,8 @@
 //! | circulation | zigzags from one strip to the next, with the circulation itself |
 //!
 //! Each has two limits ([`Check::limits`]): beyond the first the answer carries a warning, beyond the second it is refused, unless the options
-//! ask otherwise. The limits lie above what all wings and bodies of `docs/validation.md` show.
+//! ask otherwise. The limits are those of the method with constant doublets, above what its wings and bodies showed; the project's tests stay
+//! below them with the present one, and they are to be measured again.
 
 use std::fmt;
 

@@ -450,15 +450,18 @@ impl Authority {
     }
 }
 
+/// The path of a file with a text.
+fn written(folder: &std::path::Path, name: &str, text: &str) -> std::path::PathBuf {
+    let path = folder.join(name);
+    std::fs::write(&path, text).unwrap();
+    path
+}
+
 #[tokio::test]
 async fn a_revoked_certificate_is_refused_and_others_are_not() {
     use tonic::transport::{Certificate, ClientTlsConfig, Endpoint, Identity};
     let folder = tempfile::tempdir().unwrap();
-    let file = |name: &str, text: &str| {
-        let path = folder.path().join(name);
-        std::fs::write(&path, text).unwrap();
-        path
-    };
+    let file = |name: &str, text: &str| written(folder.path(), name, text);
     let authority = Authority::new();
     let (certificate, key) = authority.sign("server", None, &["localhost"]);
     let (certificate, key) = (file("server.pem", &certificate), file("server.key", &key));
@@ -494,11 +497,7 @@ async fn a_revoked_certificate_is_refused_and_others_are_not() {
 async fn certificates_name_their_tenants_over_tls() {
     use tonic::transport::{Certificate, ClientTlsConfig, Endpoint, Identity};
     let folder = tempfile::tempdir().unwrap();
-    let file = |name: &str, text: &str| {
-        let path = folder.path().join(name);
-        std::fs::write(&path, text).unwrap();
-        path
-    };
+    let file = |name: &str, text: &str| written(folder.path(), name, text);
     let authority = Authority::new();
     let (certificate, key) = authority.sign("server", None, &["localhost"]);
     let ca = file("ca.pem", &authority.issuer.pem());

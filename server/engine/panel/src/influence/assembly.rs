@@ -1,7 +1,6 @@
 //! Assembly: the matrix, and the right-hand sides of unit onset flows.
 
 use moldline_foundation::simd::widest;
-use moldline_mesh::Vector3;
 use rayon::prelude::*;
 
 use super::{
@@ -104,10 +103,9 @@ impl Visitor for Rows<'_> {
         let nodes = &layout.nodes.of_corner[layout.elements.list[element].panel as usize];
         let units = influence.units[element].map(|unit| view.turned(&unit));
         let width = layout.nodes.value.len();
-        let target_ = &targets[target];
-        for (k, index) in self.indices[target].iter().enumerate().take(target_.rows.len()) {
-            let weighted = |(part, mean): (&super::targets::Part, &f64)| *mean * part.charges[k];
-            let charge: Vector3 = target_.parts.iter().zip(&near.means).map(weighted).sum();
+        let (indices, target) = (&self.indices[target], &targets[target]);
+        for (k, index) in indices.iter().enumerate().take(target.rows.len()) {
+            let charge = target.charge(k, &near.means);
             let out = &mut self.nodes[index * width..][..width];
             nodes.iter().zip(&units).for_each(|(node, unit)| out[*node as usize] += charge.dot(unit));
         }
@@ -118,10 +116,9 @@ impl Visitor for Rows<'_> {
         let sheet = &influence.sheets[sheet];
         let units = sheet.units.map(|unit| view.turned(&unit));
         let width = influence.layout.sheets.circulations.len();
-        let target_ = &targets[target];
-        for (k, index) in self.indices[target].iter().enumerate().take(target_.rows.len()) {
-            let weighted = |(part, mean): (&super::targets::Part, &f64)| *mean * part.charges[k];
-            let charge: Vector3 = target_.parts.iter().zip(&near.means).map(weighted).sum();
+        let (indices, target) = (&self.indices[target], &targets[target]);
+        for (k, index) in indices.iter().enumerate().take(target.rows.len()) {
+            let charge = target.charge(k, &near.means);
             let out = &mut self.gamma[index * width..][..width];
             sheet.circulations.iter().zip(&units).for_each(|(g, unit)| out[*g as usize] += charge.dot(unit));
         }

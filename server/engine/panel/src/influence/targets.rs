@@ -221,6 +221,11 @@ impl Target {
         }
     }
 
+    /// The circulation of a row's test function, weighted by part.
+    pub fn charge(&self, row: usize, weights: &[f64; MOST]) -> Vector3 {
+        self.parts.iter().zip(weights).map(|(part, weight)| *weight * part.charges[row]).sum()
+    }
+
     /// What circulations of the parts are from afar.
     pub fn gathered(&self, of_parts: &[Vector3; MOST]) -> Charges {
         gathered(&self.parts, |part| of_parts[part])

@@ -315,17 +315,7 @@ fn parts_without_a_wake_and_edges_that_are_left_out_are_told_of() {
         other => panic!("{:?}", other.map(|setup| setup.summary())),
     }
     // Beside a wing that sheds one, a part whose edges are not named.
-    let wing = |x: f64, z: f64| {
-        let mut plane = Plane::new(24, 0, 0.0);
-        let station = |k: usize| Station {
-            leading_edge: [x, 0.5 * k as f64, z],
-            chord: 1.0,
-            twist: 0.0,
-            thickness: 0.1,
-        };
-        plane.wing(&[0, 1, 2, 3, 4].map(station));
-        plane.mesh().0
-    };
+    let wing = |x: f64, z: f64| straight_wing(x, z, 0.1);
     let two = together(&wing(0.0, 0.0), &wing(3.0, 1.0));
     let first = two.cells.len() as u32 / 2;
     let named =
@@ -344,6 +334,15 @@ fn parts_without_a_wake_and_edges_that_are_left_out_are_told_of() {
     assert!(PanelSetup::new(&two, Options::default()).unwrap().summary().warnings.is_empty());
 }
 
+/// A straight wing of chord 1 m and half span 2 m, with 24 cells around, whose leading edge is at x and z.
+fn straight_wing(x: f64, z: f64, thickness: f64) -> SurfaceMesh {
+    let mut plane = Plane::new(24, 0, 0.0);
+    let station =
+        |k: usize| Station { leading_edge: [x, 0.5 * k as f64, z], chord: 1.0, twist: 0.0, thickness };
+    plane.wing(&[0, 1, 2, 3, 4].map(station));
+    plane.mesh().0
+}
+
 /// Two meshes in one; a vertex group `first` of the first one's trailing edge, with 24 cells around.
 fn together(one: &SurfaceMesh, two: &SurfaceMesh) -> SurfaceMesh {
     let first = one.vertices.len() as u32;
@@ -357,17 +356,7 @@ fn together(one: &SurfaceMesh, two: &SurfaceMesh) -> SurfaceMesh {
 /// A second wing downstream with the same stations: whatever its height within its thickness, the first one's wake meets it.
 #[test]
 fn a_wake_that_meets_a_second_wing() {
-    let wing = |x: f64, z: f64| {
-        let mut plane = Plane::new(24, 0, 0.0);
-        let station = |k: usize| Station {
-            leading_edge: [x, 0.5 * k as f64, z],
-            chord: 1.0,
-            twist: 0.0,
-            thickness: 0.12,
-        };
-        plane.wing(&[0, 1, 2, 3, 4].map(station));
-        plane.mesh().0
-    };
+    let wing = |x: f64, z: f64| straight_wing(x, z, 0.12);
     let check = |z: f64| {
         let mesh = together(&wing(0.0, 0.0), &wing(3.0, z));
         let setup =
